@@ -3,11 +3,12 @@
 //!     codecs KIND TRAINING_FILE MEASURED_FILE [KIND ...]     (files: one JSON message per line)
 use std::{error::Error, hint::black_box, sync::Arc, time::Instant};
 
-use rect::core::{
-    codec::{self, dictionary::DictionaryCodec, Codec, Limits},
-    dictionary::Dictionary,
-    encoding::Encoding,
-    payload::{Cbor, Json, Payload, ToPayload},
+use rect_core::{
+    codec::{self, dictionary::Dictionary, dictionary_codec::DictionaryCodec, Codec, Limits},
+    message::{
+        encoding::Encoding,
+        payload::{Cbor, Json, Payload, ToPayload},
+    },
 };
 use serde_json::{json, Value};
 

@@ -18,11 +18,11 @@ use std::{
 
 use mcap::records::MessageHeader;
 use processor_time::processor_time;
-use rect::{
-    core::encoding::Encoding,
-    recording::{Recorder, Settings, Split},
-    Message, Name, Payload, Topic,
+use rect_core::{
+    message::{encoding::Encoding, payload::Payload, Message},
+    name::{topic::Topic, Name},
 };
+use rect_recording::{Recorder, Settings, Split};
 
 type Outcome<T> = Result<T, Box<dyn Error>>;
 

@@ -4,10 +4,13 @@
 //! counts instructions.
 use std::time::{Duration, Instant};
 
-use rect::core::{
-    codec::{jpeg::Jpeg, Codec, Limits},
-    payload::ToPayload,
-    picture::{Format, Picture},
+use rect_core::{
+    codec::{
+        jpeg::Jpeg,
+        picture::{Format, Picture},
+        Codec, Limits,
+    },
+    message::payload::ToPayload,
     video::{Decoder, Encoder, Settings},
 };
 
@@ -61,7 +64,7 @@ fn timed<T>(work: impl FnOnce() -> T) -> (T, Duration) {
 }
 
 /// Returns a picture with coarse and fine structures that moves by 3 and 2 pixels for each number, and the noise of a sensor.
-fn scene(width: u32, height: u32, number: u32) -> Result<Picture, rect::core::codec::CodecError> {
+fn scene(width: u32, height: u32, number: u32) -> Result<Picture, rect_core::codec::CodecError> {
     let mut random = number.wrapping_mul(2_654_435_761) | 1;
     let mut pixels = Vec::with_capacity((width * height * 3) as usize);
     for (x, y) in (0..width * height).map(|n| (n % width, n / width)) {

@@ -21,14 +21,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::{
-    core::{
-        codec,
-        picture::{Format, Picture},
-        stream::picture::LossyFormat,
-    },
-    Options, Robot, Stream, StreamOptions, ToPayload,
-};
+use rect::{codec, Format, LossyFormat, Options, Picture, Robot, Stream, StreamOptions, ToPayload};
 use serde::{Deserialize, Serialize};
 
 /// The noise of the camera, in each direction.
@@ -85,7 +78,7 @@ struct Outcome {
     /// Delay of each urgent message that arrived.
     urgent_ms: Vec<f64>,
     /// State of the stream at the end of the measurement.
-    status: rect::core::stream::status::Status,
+    status: rect::StreamStatus,
     /// Mean time for encoding a frame.
     encode_ms: f64,
 }

@@ -4,13 +4,7 @@
 //!     cargo run --example camera -- laptop wombat-1       # receives them
 use std::time::Duration;
 
-use rect::{
-    core::{
-        codec::Limits,
-        picture::{Format, Picture},
-    },
-    StreamOptions,
-};
+use rect::{codec::Limits, Format, Picture, StreamOptions};
 
 const SIZE: (u32, u32) = (320, 240);
 

@@ -4,7 +4,7 @@
 //!     cargo run --example telemetry -- wombat-1 compressed      # the messages after the first 100 have half the size
 use std::{ops::Range, sync::Arc, time::Duration};
 
-use rect::core::dictionary::Dictionary;
+use rect::Dictionary;
 use serde::{Deserialize, Serialize};
 
 type Result = std::result::Result<(), Box<dyn std::error::Error>>;

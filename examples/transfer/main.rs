@@ -15,7 +15,7 @@ async fn main() -> Result<(), rect::Error> {
     let me = arguments.next().unwrap_or("wombat-1".to_owned());
     let robot = rect::connect(&me).await?;
     if let (Some(other), Some(file)) = (arguments.next(), arguments.next()) {
-        let on_progress = |progress: rect::core::transfer::Progress| {
+        let on_progress = |progress: rect::Progress| {
             println!("{:3.0} %", progress.fraction() * 100.0);
         };
         let transfer = robot.transfer(other.as_str(), "files", Path::new(&file))?;

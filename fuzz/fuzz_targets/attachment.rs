@@ -2,12 +2,7 @@
 //! the key that its sender builds from the decoded address.
 #![no_main]
 use libfuzzer_sys::fuzz_target;
-use rect::core::{
-    attachment::{Attachment, MAX_BYTES},
-    key::KeySpace,
-    name::Name,
-    topic::Pattern,
-};
+use rect_core::{message::attachment::{Attachment, MAX_BYTES}, name::{key::KeySpace, Name, topic::Pattern}};
 
 fn name(text: &str) -> Name {
     Name::new(text).expect("a name")

@@ -4,12 +4,7 @@
 use std::sync::{Arc, OnceLock};
 
 use libfuzzer_sys::fuzz_target;
-use rect::core::{
-    codec::{decode, dictionary::DictionaryCodec, quantised, Codec, Limits},
-    dictionary::{Dictionaries, Dictionary},
-    encoding::Encoding,
-    payload::Payload,
-};
+use rect_core::{codec::{decode, dictionary_codec::DictionaryCodec, quantised, Codec, Limits, dictionary::{Dictionaries, Dictionary}}, message::{encoding::Encoding, payload::Payload}};
 
 const LIMITS: Limits = Limits {
     max_bytes: 1 << 20,

@@ -4,17 +4,7 @@
 use std::time::{Duration, Instant};
 
 use libfuzzer_sys::fuzz_target;
-use rect::core::{
-    encoding::Encoding,
-    name::Name,
-    payload::Payload,
-    stream::{
-        feedback::{Feedback, MAX_BYTES},
-        notice::Notice,
-        sender::{Options, Sender},
-        Group,
-    },
-};
+use rect_core::{message::{encoding::Encoding, payload::Payload}, name::Name, stream::{feedback::{Feedback, MAX_BYTES}, notice::Notice, sender::{Options, Sender}, Group}};
 
 fuzz_target!(|input: &[u8]| {
     if let Ok(notice) = Notice::decode(input) {

@@ -2,12 +2,7 @@
 //! quantised form must respect the error bound.
 #![no_main]
 use libfuzzer_sys::fuzz_target;
-use rect::core::{
-    array::{Array, Element},
-    codec::{parse, Limits},
-    encoding::Encoding,
-    payload::{Payload, ToPayload},
-};
+use rect_core::{codec::{array::{Array, Element}, parse, Limits}, message::{encoding::Encoding, payload::{Payload, ToPayload}}};
 
 const LIMITS: Limits = Limits {
     max_bytes: 1 << 20,

@@ -4,7 +4,7 @@
 use std::io::Cursor;
 
 use libfuzzer_sys::fuzz_target;
-use rect::recording::{view::View, Reader};
+use rect_recording::{view::View, Reader};
 
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 /// The kind of a chunk.

@@ -2,9 +2,7 @@
 //! encode to the same bytes.
 #![no_main]
 use libfuzzer_sys::fuzz_target;
-use rect::core::transfer::{
-    offer, record, record::Record, Answer, Fault, Offer, Request, MAX_PIECE_BYTES,
-};
+use rect_core::transfer::{offer, record::{self, Record}, Answer, Fault, Offer, Request, MAX_PIECE_BYTES};
 
 fuzz_target!(|input: (u8, &[u8])| {
     let (kind, bytes) = input;

@@ -7,14 +7,7 @@ use std::{
 };
 
 use libfuzzer_sys::fuzz_target;
-use rect::core::{
-    codec::Limits,
-    picture::{Format, Picture},
-    video::{
-        bitstream::{is_key_frame, units, Parameters},
-        Decoder, Encoder, Settings,
-    },
-};
+use rect_core::{codec::{Limits, picture::{Format, Picture}}, video::{bitstream::{is_key_frame, units, Parameters}, Decoder, Encoder, Settings}};
 
 const LIMITS: Limits = Limits {
     max_bytes: 1 << 22,

@@ -24,15 +24,21 @@ let
     ../systemd/rect-dashboard.service
     ../systemd/rect-router.service
     # The pages of the dashboard and of a survey are parts of the program.
-    ../../src/bin/rect/dashboard/page
-    ../../src/bin/rect/survey/page
+    ../../crates/rect-dashboard/page
+    ../../crates/rect-cli/src/survey/page
     ../../surveys/simulated-air.json
+    # Examples of the crates: cargo requires the files of the targets in the manifests.
     ../../benches/codecs.rs
+    ../../benches/message_cost.rs
+    ../../benches/processor_time.rs
+    ../../benches/record_cost.rs
     ../../benches/rounds.rs
+    ../../benches/video_cost.rs
+    ../../crates/rect/examples
     (fileset.unions (
       # All members of the workspace: cargo requires the manifest of each, and the files of the targets in the manifests.
       map (fileset.fileFilter (file: file.hasExt "rs" || file.name == "Cargo.toml")) [
-        ../../src
+        ../../crates
         ../../examples
         ../../tests
         ../../crates
@@ -66,7 +72,7 @@ rustPlatform.buildRustPackage (finalAttrs: {
   # One command for all, as in scripts/build-plugins: a router loads only plugins with the same features of zenoh, and zenoh is
   # compiled only once.
   cargoBuildFlags = lib.concatMap (name: [ "-p" name ]) [
-    "rect-robot"
+    "rect-cli"
     "rect-router"
     "rect-cpp"
     "zenoh-plugin-rect"

@@ -5,8 +5,10 @@ use std::{
     sync::Arc,
 };
 
-use rect::core::array::{Array as LibraryArray, Element as LibraryElement};
-use rect::core::payload::ToPayload;
+use rect_core::{
+    codec::array::{Array as LibraryArray, Element as LibraryElement},
+    message::payload::ToPayload,
+};
 
 use crate::{
     argument::{items, require},
@@ -56,7 +58,7 @@ const ELEMENTS: [(u32, LibraryElement); 9] = [
 /// The maximum number of dimensions of an array.
 pub const MAX_DIMENSIONS: usize = 8;
 
-const _: () = assert!(MAX_DIMENSIONS == rect::core::array::MAX_DIMENSIONS);
+const _: () = assert!(MAX_DIMENSIONS == rect_core::codec::array::MAX_DIMENSIONS);
 
 /// An array of numbers of one type, in little-endian byte order and row-major order (the last index varies fastest). It is
 /// valid until `rect_drop(&array.id, ..)`.

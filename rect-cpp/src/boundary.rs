@@ -7,7 +7,7 @@ use std::{
     panic::{catch_unwind, AssertUnwindSafe},
 };
 
-use rect::core::humanize;
+use rect_core::text::humanize;
 
 use crate::failure::{Code, Failure};
 

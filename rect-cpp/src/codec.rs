@@ -1,7 +1,7 @@
 //! Encodes and decodes payloads explicitly, without a robot.
 use std::{ffi::c_char, mem::MaybeUninit};
 
-use rect::core::{codec, dictionary::Dictionaries};
+use rect_core::codec::{self, dictionary::Dictionaries};
 
 use crate::{
     argument::{require, text},

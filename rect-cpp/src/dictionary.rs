@@ -1,7 +1,7 @@
 //! Trains and loads compression dictionaries.
 use std::{ffi::c_void, mem::MaybeUninit, sync::Arc};
 
-use rect::core::dictionary::Dictionary as LibraryDictionary;
+use rect_core::codec::dictionary::Dictionary as LibraryDictionary;
 
 use crate::{
     argument::items,

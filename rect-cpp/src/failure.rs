@@ -1,10 +1,11 @@
 //! Lists the failures of the C interface: the codes that C receives, their texts and their causes.
-use rect::{
-    core::{
-        codec::CodecError, dictionary::DictionaryError, humanize, name::NameError,
-        payload::PayloadError, topic::TopicError, transfer::OfferError,
-    },
-    Error,
+use rect::Error;
+use rect_core::{
+    codec::{dictionary::DictionaryError, CodecError},
+    message::payload::PayloadError,
+    name::{topic::TopicError, NameError},
+    text::humanize,
+    transfer::OfferError,
 };
 
 /// The result of a call. For every code except `RECT_CODE_OK`, `rect_error.text` describes what happened and what to do.

@@ -5,9 +5,10 @@ use std::{
 };
 
 use bytes::Bytes;
-use rect::{
-    core::{cause::Cause, encoding, payload::PayloadError},
-    Encoding, Payload,
+use rect::{Encoding, Payload};
+use rect_core::{
+    cause::Cause,
+    message::{encoding, payload::PayloadError},
 };
 
 use crate::{

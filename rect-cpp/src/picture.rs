@@ -6,11 +6,12 @@ use std::{
 };
 
 use bytes::Bytes;
-use rect::core::{
-    codec::Limits,
-    encoding,
-    payload::ToPayload,
-    picture::{Format as LibraryFormat, Picture as LibraryPicture},
+use rect_core::{
+    codec::{
+        picture::{Format as LibraryFormat, Picture as LibraryPicture},
+        Limits,
+    },
+    message::{encoding, payload::ToPayload},
 };
 
 use crate::{

@@ -6,11 +6,8 @@ use std::{
     time::Duration,
 };
 
-use rect::{
-    blocking::Runtime,
-    recording::{self, Split},
-    Pattern, RecordOptions as LibraryOptions, RobotRecorder,
-};
+use rect::recording::{self, Split};
+use rect::{blocking::Runtime, Pattern, RecordOptions as LibraryOptions, RobotRecorder};
 
 use crate::{
     argument::{items, text},

@@ -5,7 +5,7 @@ use std::{
     time::Duration,
 };
 
-use rect::core::codec;
+use rect_core::codec;
 
 use crate::{
     argument::{require, text},

@@ -1,5 +1,6 @@
 //! Converts the counts of a subscriber's messages, by sender, into the form that C receives.
-use rect::{core::gaps::SenderCounts as Counts, Name};
+use rect::Name;
+use rect_core::message::gaps::SenderCounts as Counts;
 
 use crate::{
     handle::{self, Object},

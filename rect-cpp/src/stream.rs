@@ -4,7 +4,7 @@ use std::{
     mem::MaybeUninit,
 };
 
-use rect::core::stream::{
+use rect_core::stream::{
     options::{PartialOptions, Preset},
     picture::LossyFormat,
 };

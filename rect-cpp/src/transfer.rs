@@ -9,7 +9,8 @@ use std::{
     time::Duration,
 };
 
-use rect::{core::transfer::Progress as LibraryProgress, storage::Content, TransferSource};
+use rect::TransferSource;
+use rect_core::{storage::Content, transfer::Progress as LibraryProgress};
 use tokio::sync::Mutex;
 
 use crate::{

@@ -2,7 +2,7 @@
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use pyo3::{prelude::*, types::PyBytes};
-use rect::core::attachment::{Attachment, Sent};
+use rect_core::message::attachment::{Attachment, Sent};
 
 /// Source, sequence number, and the time of sending: in milliseconds since 1970, only the low 16 bits of that number, or that of the
 /// recorded message that is replayed.

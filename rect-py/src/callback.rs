@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use pyo3::{intern, prelude::*};
-use rect::core::message::Undelivered;
+use rect_core::message::Undelivered;
 
 use crate::{
     connection::Links, counters::AtomicCounters, driver::bytes_of, message::Inbound, queue::Queue,

@@ -3,11 +3,14 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyBytes};
-use rect::core::{
-    codec::{self, dictionary::DictionaryCodec, Limits},
-    dictionary::{self, Dictionaries},
-    encoding::Encoding,
-    payload::Payload,
+use rect_core::{
+    codec::{
+        self,
+        dictionary::{self, Dictionaries},
+        dictionary_codec::DictionaryCodec,
+        Limits,
+    },
+    message::{encoding::Encoding, payload::Payload},
 };
 
 use crate::{detached::detached, errors::OrRaise};

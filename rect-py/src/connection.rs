@@ -2,7 +2,10 @@
 use std::sync::Mutex;
 
 use pyo3::prelude::*;
-use rect::core::{connection, name::Name, named_connection::NamedConnection};
+use rect_core::{
+    name::Name,
+    registry::{connection, named_connection::NamedConnection},
+};
 use serde_json::Value;
 
 use crate::driver::{lock, ConnectionsReport};

@@ -1,6 +1,6 @@
 //! Counts the messages that a program sends and receives.
 use pyo3::prelude::*;
-use rect::core::counters;
+use rect_core::message::counters;
 
 /// The counters of one program.
 #[pyclass(frozen, module = "rect._rect")]

@@ -2,7 +2,7 @@
 use std::{sync::Mutex, time::Instant};
 
 use pyo3::{prelude::*, pybacked::PyBackedBytes, IntoPyObjectExt};
-use rect::core::{codec::CodecError, decoder};
+use rect_core::{codec::CodecError, session::decoder};
 
 use crate::{
     clock::Clock,

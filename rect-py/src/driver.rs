@@ -18,7 +18,7 @@ use std::{
 };
 
 use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyTuple};
-use rect::core::driver::{self, Event, Id, QueryId};
+use rect_core::driver::{self, Event, Id, QueryId};
 
 use crate::{clock::Clock, codec::payload};
 

@@ -1,8 +1,11 @@
 //! Converts the errors of the core to the exceptions of `rect.errors`.
 use pyo3::{prelude::*, sync::PyOnceLock, types::PyModule};
-use rect::core::{
-    codec::CodecError, dictionary::DictionaryError, humanize, name::NameError,
-    payload::PayloadError, topic::TopicError, transfer::OfferError,
+use rect_core::{
+    codec::{dictionary::DictionaryError, CodecError},
+    message::payload::PayloadError,
+    name::{topic::TopicError, NameError},
+    text::humanize,
+    transfer::OfferError,
 };
 
 static ERRORS: PyOnceLock<Py<PyModule>> = PyOnceLock::new();

@@ -1,14 +1,14 @@
 //! Validates names, topics, patterns and encodings, and makes keys from them.
 use pyo3::prelude::*;
-use rect::core::{
+use rect_core::{
     codec,
-    encoding::Encoding,
-    key,
-    name::Name,
-    payload::PayloadError,
-    publication::PublicationKey,
-    topic::{Pattern, Topic},
-    urgency::Urgency,
+    message::{encoding::Encoding, payload::PayloadError, urgency::Urgency},
+    name::{
+        key,
+        topic::{Pattern, Topic},
+        Name,
+    },
+    session::publication::PublicationKey,
 };
 
 use crate::errors::OrRaise;

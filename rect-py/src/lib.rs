@@ -66,14 +66,16 @@ mod _rect {
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
-        use rect::core::{
-            endpoint, inquiry, login, named_connection, peers,
-            publication::{self, Publications},
-            queue::DEFAULT_CAPACITY,
-            request::DEFAULT_TIMEOUT_MS,
-            router, service, settings,
+        use rect_core::{
+            message::{queue::DEFAULT_CAPACITY, request::DEFAULT_TIMEOUT_MS},
+            registry::named_connection,
+            session::{
+                endpoint, inquiry, login, peers,
+                publication::{self, Publications},
+                router, service, settings,
+            },
         };
-        use rect::recording::{answer, recorder, report};
+        use rect_recording::{answer, recorder, report};
         module.add("ADD", named_connection::ADD)?;
         module.add("DEFAULT_CAPACITY", DEFAULT_CAPACITY)?;
         module.add("DEFAULT_TIMEOUT_S", f64::from(DEFAULT_TIMEOUT_MS) / 1000.0)?;

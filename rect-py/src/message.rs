@@ -6,13 +6,9 @@ use std::{
 
 use bytes::Bytes;
 use pyo3::prelude::*;
-use rect::core::{
-    encoding::Encoding,
-    key::Selected,
-    message::{self, Delivery, Message, Undelivered},
-    name::Name,
-    payload::Payload,
-    topic::Pattern,
+use rect_core::{
+    message::{self, encoding::Encoding, payload::Payload, Delivery, Message, Undelivered},
+    name::{key::Selected, topic::Pattern, Name},
 };
 
 use crate::{

@@ -1,12 +1,14 @@
 //! Encodes and decodes pictures and arrays of numbers.
 use bytes::Bytes;
 use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyBytes};
-use rect::core::{
-    array::{Array, Element},
+use rect_core::{
     cause::Cause,
-    codec::CodecError,
-    payload::ToPayload,
-    picture::{Format, Picture},
+    codec::{
+        array::{Array, Element},
+        picture::{Format, Picture},
+        CodecError,
+    },
+    message::payload::ToPayload,
 };
 
 use crate::{

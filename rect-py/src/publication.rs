@@ -2,7 +2,7 @@
 use std::{sync::Mutex, time::Duration};
 
 use pyo3::{prelude::*, types::PyBytes};
-use rect::core::{attachment::Sent, publication};
+use rect_core::{message::attachment::Sent, session::publication};
 
 use crate::{attachment::now_ms, driver::lock};
 

@@ -8,7 +8,7 @@ use std::{
 };
 
 use pyo3::{create_exception, exceptions::PyException, intern, prelude::*};
-use rect::core::queue::{self, Pushed, WhenFull};
+use rect_core::message::queue::{self, Pushed, WhenFull};
 
 use crate::errors::raised;
 

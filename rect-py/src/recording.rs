@@ -7,19 +7,18 @@ use std::{
 
 use bytes::Bytes;
 use pyo3::{prelude::*, types::PyBytes};
-use rect::{
-    core::{
-        connection::Connection, encoding::Encoding, key, message::Message, name::Name,
-        payload::Payload,
-    },
-    recording::{
-        self,
-        answer::{self, Answer},
-        file::about,
-        key_frames::KeyFrames,
-        report::EventReport,
-        Entry, ReadError, Reader, RecorderError, Selection, Settings, Split,
-    },
+use rect_core::{
+    message::{encoding::Encoding, payload::Payload, Message},
+    name::{key, Name},
+    registry::connection::Connection,
+};
+use rect_recording::{
+    self as recording,
+    answer::{self, Answer},
+    file::about,
+    key_frames::KeyFrames,
+    report::EventReport,
+    Entry, ReadError, Reader, RecorderError, Selection, Settings, Split,
 };
 
 use crate::{

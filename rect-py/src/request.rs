@@ -6,12 +6,12 @@ use pyo3::{
     pybacked::PyBackedBytes,
     types::{PyBytes, PyTuple},
 };
-use rect::core::{
-    encoding::Encoding,
-    inquiry::{self, ReplyKind},
-    payload::Payload,
-    request::error_to_payload,
-    service::{self, Requester},
+use rect_core::{
+    message::{encoding::Encoding, payload::Payload, request::error_to_payload},
+    session::{
+        inquiry::{self, ReplyKind},
+        service::{self, Requester},
+    },
 };
 
 use crate::{
@@ -66,7 +66,7 @@ impl Inquiry {
             Err(payload_of(&error)?)
         } else {
             let key = ok.getattr(intern!(py, "key_expr"))?.str()?.to_string();
-            Ok(rect::core::driver::Sample {
+            Ok(rect_core::driver::Sample {
                 key,
                 payload: payload_of(&ok)?,
                 attachment: None,

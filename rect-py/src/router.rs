@@ -5,7 +5,7 @@ use std::{
 };
 
 use pyo3::prelude::*;
-use rect::core::{
+use rect_core::session::{
     login::{self, Login},
     router::{self, JoinError},
 };

@@ -1,6 +1,6 @@
 //! Exposes the settings of Zenoh with which a program opens its sessions.
 use pyo3::prelude::*;
-use rect::core::{
+use rect_core::session::{
     endpoint,
     settings::{SessionLinks, SettingError},
 };

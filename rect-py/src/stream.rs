@@ -9,7 +9,7 @@ use pyo3::{
     pybacked::PyBackedBytes,
     types::{PyBytes, PyTuple},
 };
-use rect::core::stream::{
+use rect_core::stream::{
     frame, job,
     ladder::Coding,
     options::{OptionError, PartialOptions},

@@ -1,9 +1,11 @@
 //! Converts urgencies between their names and the core's type, and to Zenoh's quality of service.
 use pyo3::prelude::*;
-use rect::core::{
-    publication,
-    settings::{SessionChoice, SessionsState},
-    urgency::Urgency,
+use rect_core::{
+    message::urgency::Urgency,
+    session::{
+        publication,
+        settings::{SessionChoice, SessionsState},
+    },
 };
 
 use crate::{

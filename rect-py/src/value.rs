@@ -7,9 +7,9 @@ use pyo3::{
     pybacked::PyBackedBytes,
     types::{PyBool, PyByteArray, PyBytes, PyDict, PyFloat, PyInt, PyList, PyString, PyTuple},
 };
-use rect::core::{
+use rect_core::{
     cause::Cause,
-    payload::{Cbor, Json, PayloadError, ToPayload, MAX_DEPTH},
+    message::payload::{Cbor, Json, PayloadError, ToPayload, MAX_DEPTH},
 };
 use serde::{
     de::{MapAccess, SeqAccess, Visitor},

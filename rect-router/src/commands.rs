@@ -15,10 +15,8 @@ mod wifi;
 
 use std::{env, process::ExitCode};
 
-use rect::{
-    core::{display, humanize},
-    terminal::{paint_err, Style},
-};
+use rect_core::text::{display, humanize};
+use rect_terminal::{paint_err, Style};
 
 use crate::args::Command;
 
@@ -46,7 +44,7 @@ pub fn run(command: &Command) -> ExitCode {
         // Another robot may have sent a part of the message, so control characters are removed.
         let text = display::line(&humanize::with_causes(error.as_ref())).into_owned();
         let program = format!("{}:", program());
-        rect::errln!("{} {text}", paint_err(Style::Wrong, &program));
+        rect_terminal::errln!("{} {text}", paint_err(Style::Wrong, &program));
         ExitCode::FAILURE
     })
 }

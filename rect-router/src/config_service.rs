@@ -11,7 +11,7 @@ use std::{
     thread,
 };
 
-use rect::core::named_connection::{ADD, CONFIG, REMOVE};
+use rect_core::registry::named_connection::{ADD, CONFIG, REMOVE};
 use serde::Serialize;
 use serde_json::Value;
 use zenoh::{bytes::Encoding, query::Query, Session, Wait};

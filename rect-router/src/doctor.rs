@@ -7,7 +7,7 @@ pub mod system;
 
 use std::path::Path;
 
-use rect::core::connection::Connection;
+use rect_core::registry::connection::Connection;
 use serde::Serialize;
 use serde_json::Value;
 use zenoh_link_any::locator;

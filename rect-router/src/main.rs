@@ -6,7 +6,7 @@
 
 use std::process::ExitCode;
 
-use rect::core::humanize;
+use rect_core::text::humanize;
 use rect_router::{
     args, commands,
     config::{self, SessionSettings},

@@ -1,6 +1,6 @@
 //! Describes the paths and lanes of `any` links for the registry and the admin space.
 use link_lanes::lanes::report::Count;
-use rect::core::connection::{
+use rect_core::registry::connection::{
     LinkLane, LinkPath, LinkPathState, PathSwitch, SwitchReason, Traffic,
 };
 use serde::Serialize;

@@ -18,9 +18,9 @@ use std::{
     time::{Duration, Instant, SystemTime, UNIX_EPOCH},
 };
 
-use rect::core::{
-    connection::{Connection, ConnectionState as State, Failure, PeerId, Traffic},
-    humanize,
+use rect_core::{
+    registry::connection::{Connection, ConnectionState as State, Failure, PeerId, Traffic},
+    text::humanize,
 };
 use serde::Serialize;
 use zenoh::{bytes::Encoding, query::Query, session::Link, Session, Wait};

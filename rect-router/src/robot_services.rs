@@ -2,7 +2,7 @@
 //! config service that changes them, and the answers about the topics of its programs.
 use std::sync::Arc;
 
-use rect::core::humanize;
+use rect_core::text::humanize;
 use zenoh::{Config, Session, Wait};
 
 use crate::{

@@ -12,13 +12,12 @@ use std::{
     time::Duration,
 };
 
+use rect_core::text::humanize;
 use sd_notify::NotifyState;
 use zenoh::{
     internal::runtime::{DynamicRuntime, Runtime, RuntimeBuilder, ZRuntime},
     Config, Session, Wait,
 };
-
-use rect::core::humanize;
 
 use crate::{
     limits::SessionLimits,

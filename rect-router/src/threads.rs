@@ -7,7 +7,7 @@
 //! and 1 threads that stops the whole router. An idle thread costs 17 kB of memory.
 use std::env;
 
-use rect::core::threads::{ONE_THREAD, VARIABLE};
+use rect_core::session::threads::{ONE_THREAD, VARIABLE};
 
 const THREADS: &str = "(rx: (worker_threads: 32), tx: (worker_threads: 4))";
 

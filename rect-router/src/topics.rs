@@ -16,9 +16,9 @@ use std::{
 };
 
 use parking_lot::Mutex;
-use rect::core::{
-    attachment::Attachment,
-    topics::{Counter, Topics, KEEP, KEPT, MAX_KEPT, TOPIC, TOPICS},
+use rect_core::{
+    message::attachment::Attachment,
+    registry::topics::{Counter, Topics, KEEP, KEPT, MAX_KEPT, TOPIC, TOPICS},
 };
 use zenoh::{bytes::Encoding, pubsub::Subscriber, query::Query, sample::Sample, Session, Wait};
 

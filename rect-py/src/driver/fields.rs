@@ -8,17 +8,19 @@ use pyo3::{
     types::{PyBytes, PyTuple},
     IntoPyObjectExt,
 };
-use rect::core::{
-    connection::{Connection, Event},
+use rect_core::{
     driver::Sample,
+    message::payload::Payload,
     name::Name,
-    payload::Payload,
-    peers::Waited,
-    registry::RegistryError,
+    registry::{
+        connection::{Connection, Event},
+        RegistryError,
+    },
+    session::peers::Waited,
     stream::frame::ReceivedFrame,
     transfer::Progress,
 };
-use rect::recording::report::EventReport;
+use rect_recording::report::EventReport;
 
 use crate::codec::parts;
 

@@ -1,7 +1,7 @@
 //! Defines the callbacks that Zenoh's threads call for the declarations and queries of a driver. They report to the
 //! driver without running Python code: that would cost more, and a Ctrl-C in it would be lost inside Zenoh.
 use pyo3::{intern, prelude::*, types::PyDict};
-use rect::core::driver::MAX_OPEN_QUERIES;
+use rect_core::driver::MAX_OPEN_QUERIES;
 
 use super::{Driver, Reaction};
 

@@ -2,10 +2,12 @@
 use std::time::Duration;
 
 use pyo3::prelude::*;
-use rect::core::{
-    observer::{Observer, RouterObserver},
-    peers::{DirectPresence, EstablishedWait, PeerWait, PeersQuery},
-    registry::RegistryQuery,
+use rect_core::{
+    registry::{
+        observer::{Observer, RouterObserver},
+        RegistryQuery,
+    },
+    session::peers::{DirectPresence, EstablishedWait, PeerWait, PeersQuery},
 };
 
 use super::Driver;

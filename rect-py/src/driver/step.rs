@@ -6,10 +6,9 @@ use pyo3::{
     prelude::*,
     types::{PyBytes, PyTuple},
 };
-use rect::core::{
+use rect_core::{
     driver::{Action, Answer, Declaration, Get, Step, Target},
-    payload::Payload,
-    urgency::Qos,
+    message::{payload::Payload, urgency::Qos},
 };
 
 use super::fields::ToPython;

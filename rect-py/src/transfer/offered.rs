@@ -1,6 +1,6 @@
 //! Wraps the offer of a transfer.
 use pyo3::prelude::*;
-use rect::core::transfer::{Offer, TransferId};
+use rect_core::transfer::{Offer, TransferId};
 
 /// A transfer that was offered and accepted.
 #[pyclass(frozen, module = "rect._rect")]

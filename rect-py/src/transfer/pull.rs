@@ -9,9 +9,9 @@ use pyo3::{
     types::{PyBytes, PyString},
     IntoPyObjectExt,
 };
-use rect::{
-    core::transfer::{files::UsesFiles, pull, Fault, Offer},
+use rect_core::{
     storage::{Concluded, Content, Files, Store},
+    transfer::{files::UsesFiles, pull, Fault, Offer},
 };
 
 use super::offered::OfferedTransfer;

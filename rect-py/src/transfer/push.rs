@@ -6,19 +6,16 @@ use std::{
 
 use bytes::Bytes;
 use pyo3::{prelude::*, types::PyBytes, IntoPyObjectExt};
-use rect::{
-    core::{
-        encoding::Encoding,
-        name::Name,
-        topic::Topic,
-        transfer::{
-            files::UsesFiles,
-            offer::FileName,
-            push::{self, SendError},
-            Offer,
-        },
-    },
+use rect_core::{
+    message::encoding::Encoding,
+    name::{topic::Topic, Name},
     storage::{Files, Source},
+    transfer::{
+        files::UsesFiles,
+        offer::FileName,
+        push::{self, SendError},
+        Offer,
+    },
 };
 
 use super::file_error;

@@ -6,15 +6,13 @@ use std::{
 };
 
 use pyo3::{prelude::*, IntoPyObjectExt};
-use rect::{
-    core::{
-        topic::Pattern,
-        transfer::{
-            admission::AdmissionRules,
-            reception::{self, Arrival},
-        },
-    },
+use rect_core::{
+    name::topic::Pattern,
     storage::Store,
+    transfer::{
+        admission::AdmissionRules,
+        reception::{self, Arrival},
+    },
 };
 
 use super::{file_error, offered::OfferedTransfer, pull::TransferPull};

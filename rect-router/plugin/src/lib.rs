@@ -14,7 +14,7 @@ use std::{
     thread,
 };
 
-use rect::core::humanize;
+use rect_core::text::humanize;
 use rect_router::{config::Settings, links, threads};
 use zenoh::{
     internal::{

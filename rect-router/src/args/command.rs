@@ -2,9 +2,9 @@
 use std::{env, path::PathBuf};
 
 use clap::{Parser, Subcommand};
-use rect::core::{
-    endpoint, login,
+use rect_core::{
     name::{Name, NameError},
+    session::{endpoint, login},
 };
 use zenoh_link_ble_air::Condition;
 

@@ -38,9 +38,9 @@ pub fn run(args: &CheckArgs) -> Result<(), Failure> {
         // The router starts in spite of this.
         Some(exposed) => {
             let remedy = exposed.remedy();
-            rect::outln!("{}: warning: {exposed}; run: {remedy}", args.config);
+            rect_terminal::outln!("{}: warning: {exposed}; run: {remedy}", args.config);
         }
-        None => rect::outln!("{}: no problems found", args.config),
+        None => rect_terminal::outln!("{}: no problems found", args.config),
     }
     Ok(())
 }

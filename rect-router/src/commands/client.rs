@@ -6,13 +6,11 @@ use std::{
     time::Duration,
 };
 
-use rect::{
-    core::{
-        humanize::{self, short_reason},
-        login,
-    },
-    terminal::{self, Table},
+use rect_core::{
+    session::login,
+    text::humanize::{self, short_reason},
 };
+use rect_terminal::{self as terminal, Table};
 use serde_json::Value;
 use zenoh::{Config, Session, Wait};
 

@@ -1,5 +1,6 @@
 //! Implements `rect-router connections`: prints the connections of robots as a table or as JSON.
-use rect::{core::connection::Connection, terminal::connections_of_robots};
+use rect_core::registry::connection::Connection;
+use rect_terminal::connections_of_robots;
 
 use super::{client::show, Failure};
 use crate::args::ConnectionsArgs;

@@ -5,10 +5,8 @@ mod network;
 
 use std::{path::Path, process::ExitCode};
 
-use rect::{
-    core::display::line,
-    terminal::{self, paint, Style},
-};
+use rect_core::text::display::line;
+use rect_terminal::{self as terminal, paint, Style};
 
 use super::Failure;
 use crate::{
@@ -31,9 +29,9 @@ fn show(mark: &str, text: &str) {
     let width = terminal::width().map(|width| width.saturating_sub(indent));
     for (n, text) in terminal::wrap(&line(text), width).iter().enumerate() {
         if n == 0 {
-            rect::outln!("{mark}{text}");
+            rect_terminal::outln!("{mark}{text}");
         } else {
-            rect::outln!("{:indent$}{text}", "");
+            rect_terminal::outln!("{:indent$}{text}", "");
         }
     }
 }

@@ -7,7 +7,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use rect::core::{login, name::Name};
+use rect_core::{name::Name, session::login};
 
 use super::{
     cloud,
@@ -103,33 +103,33 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
     make_folder(&folder).map_err(|error| cannot_create(&folder, &error))?;
     for (path, text, owner) in files {
         write(&path, &text, owner).map_err(|error| cannot_create(&path, &error))?;
-        rect::outln!("wrote {}", path.display());
+        rect_terminal::outln!("wrote {}", path.display());
     }
     if args.start {
         service::start()?;
-        rect::outln!(
+        rect_terminal::outln!(
             "the router is running, and starts at each boot: systemctl status rect-router"
         );
     } else if installed {
-        rect::outln!("start it with: systemctl enable --now rect-router");
+        rect_terminal::outln!("start it with: systemctl enable --now rect-router");
     } else {
         let config = quoted(&folder.join("robot.json5").display().to_string());
-        rect::outln!("start it with: {} -c {config}", program());
+        rect_terminal::outln!("start it with: {} -c {config}", program());
     }
     let users = folder.join("users");
     if !args.fleets.is_empty() {
-        rect::outln!(
+        rect_terminal::outln!(
             "give each fleet its line of {}, and let it connect to this router: docs/how-to/cloud.md",
             users.display()
         );
     } else if args.users.is_none() {
-        rect::outln!(
+        rect_terminal::outln!(
             "the other robots of the team need the same login: copy {} to them and give it with --users",
             users.display()
         );
     }
     if args.base_station {
-        rect::outln!(
+        rect_terminal::outln!(
             "to link robots over Wi-Fi, too, add a listener with TLS: docs/how-to/security.md"
         );
     }

@@ -9,7 +9,7 @@ pub fn complete(args: &CompletionArgs) {
     let mut command = Args::command();
     let mut script = Vec::new();
     clap_complete::generate(args.shell, &mut command, "rect-router", &mut script);
-    rect::outln!("{}", String::from_utf8_lossy(&script).trim_end());
+    rect_terminal::outln!("{}", String::from_utf8_lossy(&script).trim_end());
 }
 
 /// Writes the manual pages to a folder.

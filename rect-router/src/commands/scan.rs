@@ -1,7 +1,7 @@
 //! Implements `rect-router scan`: shows the robots whose Bluetooth advertisements are received.
 use std::{collections::BTreeMap, time::Duration};
 
-use rect::terminal::{self, Table};
+use rect_terminal::{self as terminal, Table};
 use serde_json::{json, Value};
 use tokio::time::{timeout_at, Instant};
 use zenoh_link_ble::locator::is_simulated;
@@ -41,7 +41,7 @@ pub fn run(args: &ScanArgs) -> Result<(), Failure> {
         ]);
     }
     table.print();
-    rect::outln!("{} discovered within {} s", discovered.len(), args.seconds);
+    rect_terminal::outln!("{} discovered within {} s", discovered.len(), args.seconds);
     Ok(())
 }
 

@@ -11,7 +11,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::terminal::Table;
+use rect_terminal::Table;
 use signal_hook::{
     consts::{SIGHUP, SIGINT, SIGTERM},
     iterator::Signals,
@@ -90,7 +90,7 @@ fn start(
     signals: &Receiver<()>,
     robots: &mut [SimulatedRobot],
 ) -> Result<Vec<Program>, Interrupted> {
-    rect::errln!("rect: starting {} robots ...", robots.len());
+    rect_terminal::errln!("rect: starting {} robots ...", robots.len());
     let deadline = Instant::now() + START_TIMEOUT;
     let mut programs = Vec::new();
     for n in 0..robots.len() {
@@ -115,7 +115,7 @@ fn start(
     let deadline = Instant::now() + START_TIMEOUT;
     while !programs[0].has_peers(robots.len() - 1) {
         if Instant::now() > deadline {
-            rect::errln!("rect: not all robots are linked yet; they keep trying");
+            rect_terminal::errln!("rect: not all robots are linked yet; they keep trying");
             break;
         }
         pause(signals, robots)?;
@@ -167,14 +167,14 @@ fn show(args: &SimArgs, air: &Air, robots: &[SimulatedRobot]) {
     } else {
         ""
     };
-    rect::outln!(
+    rect_terminal::outln!(
         "\nlinked by Bluetooth LE over the simulated air ({condition}){wifi}. In another terminal:\n"
     );
     if !first.has_default_endpoint() {
-        rect::outln!("  export RECT_ENDPOINT={}", first.endpoint);
+        rect_terminal::outln!("  export RECT_ENDPOINT={}", first.endpoint);
     }
     if let Some(socket) = air.non_default_socket() {
-        rect::outln!("  export RECT_AIR={}", socket.display());
+        rect_terminal::outln!("  export RECT_AIR={}", socket.display());
     }
     let fleet = match args.fleet.as_str() {
         "rect" => String::new(),
@@ -228,7 +228,7 @@ fn show(args: &SimArgs, air: &Air, robots: &[SimulatedRobot]) {
         .unwrap_or(0)
         .min(COMMAND_WIDTH);
     for (command, what) in tries {
-        rect::outln!("  {command:width$}  # {what}");
+        rect_terminal::outln!("  {command:width$}  # {what}");
     }
-    rect::outln!("\nCtrl-C stops the simulation.");
+    rect_terminal::outln!("\nCtrl-C stops the simulation.");
 }

@@ -1,8 +1,6 @@
 //! Implements `rect-router status`: shows the status of robots, one line each.
-use rect::{
-    core::humanize::duration_of_s,
-    terminal::{Cell, Style, Table},
-};
+use rect_core::text::humanize::duration_of_s;
+use rect_terminal::{Cell, Style, Table};
 use serde_json::Value;
 
 use super::{client::show, Failure};

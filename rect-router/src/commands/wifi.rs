@@ -44,7 +44,7 @@ async fn serve(socket: &Path, options: WifiOptions) -> Result<(), Failure> {
     let mut hang_up = signal(SignalKind::hangup())?;
     let wifi = Wifi::bind(socket, options)?;
     // The Wi-Fi is served even if the standard output is closed.
-    let _ = rect::terminal::try_write(format_args!(
+    let _ = rect_terminal::try_write(format_args!(
         "simulated Wi-Fi at {}: listen on any/sim-1#name=...;secret=..., or see `rect wifi --help`",
         socket.display()
     ));

@@ -6,7 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use rect::core::login;
+use rect_core::session::login;
 use zenoh::Config;
 
 use super::ConfigError;

@@ -2,7 +2,7 @@
 //! They are removed from the configuration afterwards, as Zenoh would look for a plugin of that name.
 use std::path::PathBuf;
 
-use rect::core::name::Name;
+use rect_core::name::Name;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use zenoh::Config;

@@ -6,7 +6,7 @@ use std::{
 
 use async_trait::async_trait;
 use parking_lot::Mutex;
-use rect::core::connection::Traffic;
+use rect_core::registry::connection::Traffic;
 use zenoh_link_placeholder::Dial;
 use zenoh_link_table::{
     EndPoint, LinkManagerBuilderUnicast, LinkUnicast, LinkUnicastTrait, Locator, NewLink,

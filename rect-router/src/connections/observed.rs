@@ -9,7 +9,7 @@ use std::{
 };
 
 use async_trait::async_trait;
-use rect::core::connection::Traffic;
+use rect_core::registry::connection::Traffic;
 use tokio_util::sync::CancellationToken;
 use zenoh_link_table::{LinkAuthId, LinkUnicastTrait, Locator};
 use zenoh_protocol::core::Priority;

@@ -11,8 +11,7 @@ use std::{
 };
 
 use notify::{Event, RecommendedWatcher, RecursiveMode, Watcher};
-
-use rect::core::humanize;
+use rect_core::text::humanize;
 
 use super::Connections;
 

@@ -82,7 +82,8 @@ fn weak(connection: &Value) -> Option<Finding> {
 mod tests {
     use serde_json::json;
 
-    use super::{super::Verdict, *};
+    use super::*;
+    use crate::x::x::Verdict;
 
     fn link(name: Option<&str>, rssi_dbm: i64) -> Value {
         json!({

@@ -220,7 +220,8 @@ fn debian_package(version: &str) -> Option<&str> {
 
 #[cfg(test)]
 mod tests {
-    use super::{super::Verdict, *};
+    use super::*;
+    use crate::x::x::Verdict;
 
     /// Returns the findings on a healthy computer with these files changed.
     fn computer(files: &[(&str, &str)]) -> Vec<Finding> {

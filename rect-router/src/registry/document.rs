@@ -2,7 +2,7 @@
 //! the library.
 use std::collections::BTreeMap;
 
-use rect::core::connection::{Connection, ConnectionState as State, PeerId};
+use rect_core::registry::connection::{Connection, ConnectionState as State, PeerId};
 use serde::Serialize;
 
 use crate::config::AutoConnect;

@@ -6,7 +6,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::core::connection::{Connection, ConnectionState as State};
+use rect_core::registry::connection::{Connection, ConnectionState as State};
 use zenoh::{bytes::Encoding, Wait};
 
 use super::{presence::NameConflictEvent, sockets::Sockets, Sources};
@@ -133,7 +133,7 @@ impl PublishedPeers {
 
 #[cfg(test)]
 mod tests {
-    use rect::core::connection::PeerId;
+    use rect_core::registry::connection::PeerId;
     use zenoh_link_ble::BLE_LOCATOR_PREFIX as BLE;
 
     use super::*;

@@ -1,5 +1,5 @@
 //! Collects the links over Bluetooth, those over several paths, and the discovered robots for the registry.
-use rect::core::connection::{LinkLane, LinkPath, PathSwitch};
+use rect_core::registry::connection::{LinkLane, LinkPath, PathSwitch};
 use zenoh::session::Link;
 use zenoh_config::EndPoint;
 use zenoh_link_any::{

@@ -1,5 +1,5 @@
 //! Parses the parameters of a query to the registry, such as `?method=ble;state=connected`.
-use rect::core::connection::{Connection, ConnectionState as State};
+use rect_core::registry::connection::{Connection, ConnectionState as State};
 use zenoh::query::Parameters;
 
 use super::document::Peer;

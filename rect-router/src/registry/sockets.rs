@@ -14,7 +14,7 @@ use netlink_packet_sock_diag::{
     SockDiagMessage,
 };
 use netlink_sys::{protocols::NETLINK_SOCK_DIAG, Socket, SocketAddr as Netlink};
-use rect::core::connection::Traffic;
+use rect_core::registry::connection::Traffic;
 use zenoh::session::Link;
 
 use super::LinkTraffic;

@@ -9,14 +9,11 @@ use std::{
 use crate::support::{
     answers, arrives, ask, change, init, program, repository, start, start_with, Air, DEADLINE,
 };
-use rect::{
-    blocking,
-    core::{
-        encoding::Encoding,
-        name::Name,
-        transfer::{offer::FileName, Checksum, Offer},
-    },
-    Error, Options, ReceiveOptions, Topic,
+use rect::{blocking, Error, Options, ReceiveOptions, Topic};
+use rect_core::{
+    message::encoding::Encoding,
+    name::Name,
+    transfer::{offer::FileName, Checksum, Offer},
 };
 use serde_json::{json, Value};
 use zenoh::{Session, Wait};

@@ -10,10 +10,8 @@ use std::{
 };
 
 use crate::support::{joined, simulated, Air, Router, DEADLINE};
-use rect::{
-    core::stream::ladder::{Coding, Step, PICTURES},
-    Encoding, Frame, Options, Payload, Robot, Stream, StreamOptions, Watch,
-};
+use rect::{Encoding, Frame, Options, Payload, Robot, Stream, StreamOptions, Watch};
+use rect_core::stream::ladder::{Coding, Step, PICTURES};
 use zenoh_link_ble_air::{AirOptions, LlPayload};
 
 const PIXELS: usize = 320 * 240;

@@ -206,5 +206,8 @@ async fn cut(air: &Air) {
         .expect("no panic")
         .expect("sent");
     let got = received.next().await.expect("open").expect("whole");
-    assert_eq!(got.content, rect::storage::Content::Bytes(bytes.into()));
+    assert_eq!(
+        got.content,
+        rect_core::storage::Content::Bytes(bytes.into())
+    );
 }

@@ -1,7 +1,7 @@
 //! Checks the login file of this computer.
 use std::{io::ErrorKind, path::Path};
 
-use rect::core::login::logins;
+use rect_core::session::login::logins;
 
 use crate::{
     config::{read_login_file, ExposedLogins},

@@ -1,6 +1,9 @@
 //! Checks the connections of this computer: its router, its peers and their clocks.
 
-use rect::core::{display, humanize::short_reason, named_connection::CONFIG};
+use rect_core::{
+    registry::named_connection::CONFIG,
+    text::{display, humanize::short_reason},
+};
 use serde_json::Value;
 use std::{collections::BTreeSet, time::Duration};
 use zenoh::{Session, Wait};

@@ -5,8 +5,8 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::core::{
-    attachment::{Attachment, Sent},
+use rect_core::{
+    message::attachment::{Attachment, Sent},
     name::Name,
 };
 use serde_json::json;

@@ -13,7 +13,7 @@ use nix::{
     sys::signal::{kill, Signal},
     unistd::Pid,
 };
-use rect::core::endpoint;
+use rect_core::session::endpoint;
 use serde_json::json;
 use zenoh::Session;
 use zenoh_link_ble_air::SOCKET_VARIABLE;

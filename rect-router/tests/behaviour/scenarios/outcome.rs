@@ -1,8 +1,6 @@
 //! Compares the outcome of a call with what the scenario expects.
-use rect::{
-    core::{payload::PayloadError, topic::TopicError},
-    Encoding, Error, Payload,
-};
+use rect::{Encoding, Error, Payload};
+use rect_core::{message::payload::PayloadError, name::topic::TopicError};
 use serde_json::Value;
 
 /// Panics unless the outcome of `call` is the expected one.

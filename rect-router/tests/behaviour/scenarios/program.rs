@@ -7,9 +7,10 @@ use std::{
 };
 
 use rect::{
-    core::dictionary::Dictionary, storage::Content, Connection, Error, Json, Payload, Publisher,
-    ReceiveOptions, Request, Robot, Service, StreamOptions, Subscriber, ToPayload, Transfers,
+    Connection, Error, Json, Payload, Publisher, ReceiveOptions, Request, Robot, Service,
+    StreamOptions, Subscriber, ToPayload, Transfers,
 };
+use rect_core::{codec::dictionary::Dictionary, storage::Content};
 use serde_json::{json, Value};
 
 use super::outcome::value;

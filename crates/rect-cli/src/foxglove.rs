@@ -1,0 +1,137 @@
+//! Implements `rect foxglove`: shows messages in viewers, by the Foxglove WebSocket protocol.
+mod input;
+mod listener;
+mod live;
+mod parameters;
+
+use std::{
+    net::SocketAddr,
+    process::ExitCode,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use clap::Args;
+use foxglove::{
+    websocket::{Capability, Parameter},
+    Context, FoxgloveError, WebSocketServer,
+};
+use rect::Pattern;
+use rect_core::registry::topics::{Topics, KEPT};
+use rect_dashboard::topics::{query, robot_topic, RobotTopic};
+use tokio::{sync::mpsc, task::JoinSet, time::interval};
+
+use self::{input::Input, listener::Listener, live::Live, parameters::Parameters};
+use crate::{session::JoinArguments, Done, Failure};
+
+/// Number of messages that wait for one viewer at most. Beyond that, the oldest is dropped.
+const BACKLOG: usize = 64;
+/// How often the routers are asked for topics while a viewer is connected.
+const ASKED_EVERY: Duration = Duration::from_secs(4);
+/// How long a router counts messages before it is asked again for the first time.
+const COUNTED: Duration = Duration::from_secs(1);
+/// How often it is checked which topics are shown, in addition to the viewers' requests.
+const UPDATED_EVERY: Duration = Duration::from_secs(1);
+/// Number of events of viewers that wait at most.
+const EVENTS: usize = 256;
+
+/// Show live messages in Foxglove, Lichtblick or another viewer, until Ctrl-C
+///
+/// In the viewer, open the connection `Foxglove WebSocket` to the address that is printed. A topic is transmitted only
+/// while a viewer shows it.
+#[derive(Args)]
+pub struct FoxgloveArguments {
+    /// The topics to offer, <robot>/<topic> with wildcards [default: all of the fleet]
+    patterns: Vec<Pattern>,
+    /// The address and port for viewers. Any computer that reaches it sees the messages
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8765")]
+    listen: SocketAddr,
+    /// Let viewers publish as this robot, and send messages to others on /to/<robot>/<topic>
+    #[arg(long)]
+    publish: bool,
+    /// Let viewers send requests to this service; can be repeated
+    #[arg(long = "service", value_name = "ROBOT/TOPIC", value_parser = robot_topic)]
+    services: Vec<RobotTopic>,
+    #[command(flatten)]
+    join: JoinArguments,
+}
+
+/// Runs `rect foxglove`.
+pub async fn run(arguments: FoxgloveArguments) -> Done {
+    // Without a robot there is nobody to publish as.
+    let robot = match arguments.publish {
+        true => arguments.join.join().await?,
+        false => arguments.join.join_unnamed().await?,
+    };
+    let (send, mut events) = mpsc::channel(EVENTS);
+    let input = arguments.publish.then(|| Input::start(&robot));
+    let mut capabilities = vec![Capability::ConnectionGraph];
+    if input.is_some() {
+        capabilities.push(Capability::ClientPublish);
+    }
+    let context = Context::new();
+    let address = arguments.listen;
+    let server = WebSocketServer::new()
+        .name(format!("RECT, fleet {}", robot.fleet()))
+        .bind(address.ip().to_string(), address.port())
+        .context(&context)
+        .capabilities(capabilities)
+        .supported_encodings(["json"])
+        .services(
+            (arguments.services.iter()).map(|service| input::service(&robot, service.clone())),
+        )
+        .parameter_handler(Arc::new(Parameters::new(robot.clone())))
+        .message_backlog_size(BACKLOG)
+        .listener(Arc::new(Listener::new(send, input)))
+        .start();
+    let server = server.await.map_err(|error| match error {
+        FoxgloveError::Bind(error) => {
+            format!("cannot listen on {address}: {error}; choose another one with --listen")
+        }
+        error => error.to_string(),
+    })?;
+    let at = SocketAddr::new(address.ip(), server.port());
+    rect_terminal::errln!(
+        "rect: open ws://{at} in a viewer, as `Foxglove WebSocket`; press Ctrl-C to stop"
+    );
+    if !at.ip().is_loopback() {
+        rect_terminal::errln!(
+            "rect: every computer that reaches {at} sees the messages: there is no login"
+        );
+    }
+    let mut live = Live::new(robot.clone(), context, arguments.patterns);
+    let mut asking = JoinSet::<Result<(Vec<(String, Topics)>, Vec<Parameter>), Failure>>::new();
+    let mut tick = interval(UPDATED_EVERY);
+    let mut ask_at = Instant::now();
+    while !robot.is_closed() {
+        tokio::select! {
+            Some(event) = events.recv() => live.on_event(event),
+            Some(found) = asking.join_next() => match found? {
+                Ok((found, parameters)) => {
+                    // The first question makes a router count messages.
+                    let counts = found.iter().all(|(_, topics)| topics.window_s > 0.0);
+                    ask_at = Instant::now() + if counts { ASKED_EVERY } else { COUNTED };
+                    live.on_topics(&found);
+                    server.publish_connection_graph(live.graph())?;
+                    server.publish_parameter_values(parameters);
+                }
+                Err(error) => {
+                    ask_at = Instant::now() + ASKED_EVERY;
+                    tracing::warn!("{error}");
+                }
+            },
+            _ = tick.tick() => {}
+        }
+        // Nobody is asked while no viewer is connected.
+        if server.client_count() > 0 && asking.is_empty() && Instant::now() >= ask_at {
+            let robot = robot.clone();
+            asking.spawn(async move {
+                let found = query(&robot, None, None, KEPT).await?;
+                Ok((found, parameters::all(&robot).await?))
+            });
+        }
+        live.update().await?;
+    }
+    rect_terminal::errln!("rect: the router has ended the connection");
+    Ok(ExitCode::FAILURE)
+}

@@ -1,0 +1,129 @@
+//! Implements `rect sub`.
+use std::{process::ExitCode, time::SystemTime};
+
+use clap::Args;
+use rect::{Message, Name, Pattern, Robot};
+use rect_core::text::display::line;
+use rect_terminal::clock::time_of_day;
+use rect_terminal::{self as terminal, paint, Style};
+use serde_json::json;
+
+use crate::{display, session::JoinArguments, Done};
+
+/// Print the messages that match a pattern, until Ctrl-C
+#[derive(Args)]
+pub struct SubArguments {
+    /// The pattern, <robot>/<topic> with wildcards: 'wombat-2/arm/*', '*/**'
+    pattern: Pattern,
+    /// Exit after this number of messages
+    #[arg(long)]
+    count: Option<u64>,
+    /// Print a line of JSON for each message
+    #[arg(long)]
+    json: bool,
+    /// Do not print the time at which each message arrived
+    #[arg(long)]
+    no_time: bool,
+    #[command(flatten)]
+    join: JoinArguments,
+}
+
+/// Runs `rect sub`.
+pub async fn run(arguments: SubArguments) -> Done {
+    let robot = arguments.join.join_unnamed().await?;
+    let messages = robot.subscribe(&arguments.pattern).await?;
+    let pattern = arguments.pattern.to_string();
+    rect_terminal::errln!(
+        "rect: subscribed to {}; press Ctrl-C to exit",
+        line(&pattern)
+    );
+    if let Some(hint) = unreachable_hint(&robot, arguments.pattern.robot()).await? {
+        rect_terminal::errln!("rect: {hint}");
+    }
+    let mut left = arguments.count.unwrap_or(u64::MAX);
+    while left > 0 {
+        let Some(message) = messages.next().await else {
+            break;
+        };
+        left -= 1;
+        if arguments.json {
+            terminal::json_line(&as_json(&message))?;
+        } else if arguments.no_time {
+            rect_terminal::outln!("{}", as_text(&message));
+        } else {
+            let time = time_of_day(SystemTime::now());
+            rect_terminal::outln!("{} {}", paint(Style::Faint, &time), as_text(&message));
+        }
+    }
+    let dropped = messages.dropped();
+    if dropped > 0 {
+        rect_terminal::errln!(
+            "rect: {dropped} messages arrived faster than they could be printed, and were dropped"
+        );
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// Returns a hint if the robot `named` in the pattern is not reachable.
+async fn unreachable_hint(
+    robot: &Robot,
+    named: Option<&Name>,
+) -> Result<Option<String>, rect::Error> {
+    let Some(named) = named.filter(|named| *named != robot.name()) else {
+        return Ok(None);
+    };
+    let peers = robot.peers().await?;
+    if peers.contains(named) {
+        return Ok(None);
+    }
+    let mut reachable: Vec<&str> = peers.iter().map(Name::as_str).collect();
+    reachable.push(robot.name().as_str());
+    reachable.sort_unstable();
+    Ok(Some(format!(
+        "the robot {named} is not reachable now; its messages are printed when it is. Reachable robots: {}",
+        reachable.join(", ")
+    )))
+}
+
+fn as_text(message: &Message) -> String {
+    let Message { sender, topic, .. } = message;
+    let topic = line(topic.as_str());
+    let mut text = paint(Style::Name, &format!("{sender}/{topic}"));
+    if message.recipient.is_some() {
+        text += " (to this robot)";
+    }
+    if message.replayed {
+        text += " (replayed)";
+    }
+    if let Some(method) = &message.method {
+        text += &format!(" (over {})", line(method));
+    }
+    if message.missed > 0 {
+        let missed = format!(" ({} missed before this one)", message.missed);
+        text += &paint(Style::Poor, &missed);
+    }
+    if let Some(problem) = &message.problem {
+        let problem = format!(" (not decoded: {})", line(&problem.to_string()));
+        text += &paint(Style::Wrong, &problem);
+    }
+    format!("{text}: {}", display::text(&message.payload))
+}
+
+fn as_json(message: &Message) -> serde_json::Value {
+    json!({
+        "sender": message.sender,
+        "recipient": message.recipient,
+        "topic": message.topic.as_str(),
+        "encoding": message.payload.encoding.as_str(),
+        "value": display::json(&message.payload),
+        "bytes": message.payload.bytes.len(),
+        "urgency": message.urgency,
+        "sent_ms": message.sent_ms,
+        "sequence": message.sequence,
+        "missed": message.missed,
+        "late": message.late,
+        "replayed": message.replayed,
+        "method": message.method,
+        "problem": message.problem.as_ref().map(ToString::to_string),
+    })
+}

@@ -1,0 +1,260 @@
+//! Implements `rect topic`, which shows the topics that robots publish, and their rates. Each robot's router measures
+//! the rates, so that no messages are transmitted for the measurement.
+use std::{process::ExitCode, time::Duration};
+
+use clap::{Args, Subcommand};
+use rect::{Name, Robot};
+use rect_core::{
+    registry::topics::{TopicReport, Topics, KEPT, WINDOW},
+    text::{display::line, humanize::bytes},
+};
+use rect_dashboard::topics::{query, robot_topic, RobotTopic};
+use rect_terminal::{self as terminal, Cell, Style, Table};
+use serde_json::json;
+
+use crate::{
+    duration::DurationArgument,
+    session::{name, JoinArguments},
+    Done, Failure,
+};
+
+/// How long messages are counted before `hz` prints the first line.
+const COUNTED: Duration = Duration::from_secs(2);
+/// Interval at which `hz` prints.
+const EVERY: Duration = Duration::from_secs(1);
+
+/// Show the topics that robots publish, as measured by their routers
+#[derive(Args)]
+pub struct TopicArguments {
+    #[command(subcommand)]
+    command: TopicCommand,
+}
+
+#[derive(Subcommand)]
+enum TopicCommand {
+    /// List the topics of a robot, or of all robots of the fleet
+    List {
+        /// The robot [default: all]
+        #[arg(value_parser = name)]
+        robot: Option<Name>,
+        #[command(flatten)]
+        measured: MeasuredArguments,
+        #[command(flatten)]
+        join: JoinArguments,
+    },
+    /// Print the rate of a topic once per second, until Ctrl-C
+    Hz {
+        /// The topic, <robot>/<topic>: wombat-2/arm/angle
+        #[arg(value_parser = robot_topic)]
+        topic: RobotTopic,
+        /// Exit after this number of lines
+        #[arg(long)]
+        count: Option<u64>,
+        /// Print lines of JSON
+        #[arg(long)]
+        json: bool,
+        #[command(flatten)]
+        join: JoinArguments,
+    },
+    /// Show all information about a topic
+    Info {
+        /// The topic, <robot>/<topic>: wombat-2/arm/angle
+        #[arg(value_parser = robot_topic)]
+        topic: RobotTopic,
+        #[command(flatten)]
+        measured: MeasuredArguments,
+        #[command(flatten)]
+        join: JoinArguments,
+    },
+}
+
+#[derive(Args)]
+struct MeasuredArguments {
+    /// How long to count messages, at most 5s. A topic without a message in this time is not listed
+    #[arg(long, default_value = "2s")]
+    duration: DurationArgument,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs `rect topic`.
+pub async fn run(arguments: TopicArguments) -> Done {
+    match arguments.command {
+        TopicCommand::List {
+            robot: publisher,
+            measured,
+            join,
+        } => {
+            let robot = join.join_unnamed().await?;
+            let answers = measure(&robot, publisher.as_ref(), None, measured.duration).await?;
+            if measured.json {
+                let all = answers
+                    .iter()
+                    .map(|(robot, topics)| (robot.clone(), as_json(topics)));
+                terminal::json(&all.collect::<serde_json::Map<_, _>>())?;
+            } else {
+                list(&answers);
+            }
+        }
+        TopicCommand::Hz {
+            topic,
+            count,
+            json,
+            join,
+        } => {
+            let robot = join.join_unnamed().await?;
+            hz(&robot, &topic, count, json).await?;
+        }
+        TopicCommand::Info {
+            topic,
+            measured,
+            join,
+        } => {
+            let robot = join.join_unnamed().await?;
+            let answers = measure(
+                &robot,
+                Some(&topic.robot),
+                Some(&topic.topic),
+                measured.duration,
+            )
+            .await?;
+            let topics = answers
+                .first()
+                .map(|(_, topics)| topics.clone())
+                .unwrap_or_default();
+            let Some(report) = topics.topics.first() else {
+                return Err(not_published(&topic));
+            };
+            if measured.json {
+                terminal::json(&report_as_json(report))?;
+            } else {
+                info(&topic, &topics, report);
+            }
+        }
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn not_published(topic: &RobotTopic) -> Failure {
+    let RobotTopic { robot, topic } = topic;
+    let topic = line(topic);
+    format!("{robot} published no message on {topic} while its messages were counted; count for longer with --duration 5s, or list its topics with `rect topic list {robot}`")
+        .into()
+}
+
+/// Counts messages for `duration`, and returns the topics of one robot or of all robots.
+async fn measure(
+    robot: &Robot,
+    publisher: Option<&Name>,
+    topic: Option<&str>,
+    duration: DurationArgument,
+) -> Result<Vec<(String, Topics)>, Failure> {
+    // The first query starts the count.
+    query(robot, publisher, topic, KEPT).await?;
+    tokio::time::sleep(duration.0.min(WINDOW)).await;
+    query(robot, publisher, topic, KEPT).await
+}
+
+fn list(answers: &[(String, Topics)]) {
+    let mut columns = vec!["TOPIC", "RATE", "?BYTES/S", "?LAST", "?ENCODING"];
+    let mut reports = answers.iter().flat_map(|(_, topics)| &topics.topics);
+    let has_losses = reports.any(|report| report.lost > 0);
+    if has_losses {
+        columns.push("?LOST");
+    }
+    let mut table = Table::new(&columns);
+    let mut more = 0;
+    for (robot, topics) in answers {
+        more += topics.more;
+        for report in &topics.topics {
+            let mut cells = vec![
+                Cell::styled(Style::Name, format!("{robot}/{}", report.topic)),
+                format!("{:.1} Hz", report.hz).into(),
+                bytes(report.bytes_per_s).into(),
+                bytes(report.last_bytes).into(),
+                report.encoding.as_str().into(),
+            ];
+            if has_losses {
+                cells.push(report.lost.to_string().into());
+            }
+            table.row(cells);
+        }
+    }
+    table.print();
+    if more > 0 {
+        rect_terminal::errln!("rect: {more} more topics are not listed");
+    }
+}
+
+async fn hz(
+    robot: &Robot,
+    topic: &RobotTopic,
+    count: Option<u64>,
+    json: bool,
+) -> Result<(), Failure> {
+    // The first query starts the count.
+    query(robot, Some(&topic.robot), Some(&topic.topic), KEPT).await?;
+    let mut ticks = tokio::time::interval(EVERY);
+    ticks.tick().await;
+    tokio::time::sleep(COUNTED.saturating_sub(EVERY)).await;
+    for _ in 0..count.unwrap_or(u64::MAX) {
+        ticks.tick().await;
+        let answers = query(robot, Some(&topic.robot), Some(&topic.topic), KEPT).await?;
+        let topics = answers.into_iter().next().map(|(_, topics)| topics);
+        let topics = topics.unwrap_or_default();
+        let report = topics.topics.first().cloned().unwrap_or_default();
+        if json {
+            terminal::json_line(&report_as_json(&report))?;
+        } else {
+            rect_terminal::outln!("{}", rate(&report, topics.window_s));
+        }
+    }
+    Ok(())
+}
+
+fn rate(report: &TopicReport, window_s: f64) -> String {
+    if report.hz == 0.0 {
+        return format!("no message within {window_s} s");
+    }
+    let intervals = report
+        .interval_ms
+        .map_or_else(String::new, |(shortest, longest)| {
+            format!(", {shortest} to {longest} ms apart")
+        });
+    format!(
+        "{:.1} Hz, {}/s{intervals} (within {window_s} s)",
+        report.hz,
+        bytes(report.bytes_per_s)
+    )
+}
+
+fn info(topic: &RobotTopic, topics: &Topics, report: &TopicReport) {
+    let RobotTopic { robot, topic } = topic;
+    rect_terminal::outln!("topic:    {robot}/{}", line(topic));
+    rect_terminal::outln!("rate:     {}", rate(report, topics.window_s));
+    rect_terminal::outln!("encoding: {}", line(&report.encoding));
+    rect_terminal::outln!("last:     {}", bytes(report.last_bytes));
+    rect_terminal::outln!("lost:     {}", report.lost);
+}
+
+fn as_json(topics: &Topics) -> serde_json::Value {
+    json!({
+        "window_s": topics.window_s,
+        "topics": topics.topics.iter().map(report_as_json).collect::<Vec<_>>(),
+        "more": topics.more,
+    })
+}
+
+/// Returns a report as JSON with field names, which the router's compact reply omits.
+fn report_as_json(report: &TopicReport) -> serde_json::Value {
+    json!({
+        "topic": report.topic,
+        "encoding": report.encoding,
+        "hz": report.hz,
+        "bytes_per_s": report.bytes_per_s,
+        "last_bytes": report.last_bytes,
+        "lost": report.lost,
+        "interval_ms": report.interval_ms,
+    })
+}

@@ -1,0 +1,5 @@
+//! Tests the command `rect`, connected to robots in the test's own process: `cargo test -p rect-cli --test command`
+#[path = "../../../rect/tests/pair/mod.rs"]
+mod pair;
+mod recording;
+mod tool;

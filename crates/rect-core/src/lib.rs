@@ -1,0 +1,20 @@
+//! The protocol of RECT, without I/O except for the files of dictionaries and transfers. Every language uses this
+//! implementation.
+//!
+//! [`message`] describes messages and their metadata, [`name`] who sends them and where they go, and [`codec`] makes their
+//! payloads smaller. [`session`], [`registry`], [`stream`] and [`transfer`] make the decisions of a session: plain structs and
+//! functions decide about a single call, and a [`driver`] decides what takes more than one call to Zenoh. [`storage`] reads
+//! and writes the files of transfers.
+pub mod cause;
+pub mod clock;
+pub mod codec;
+pub mod driver;
+pub mod message;
+pub mod name;
+pub mod registry;
+pub mod session;
+pub mod storage;
+pub mod stream;
+pub mod text;
+pub mod transfer;
+pub mod video;

@@ -1,0 +1,412 @@
+//! Defines [`Message`], and [`Inbound`], which turns Zenoh samples into messages.
+pub mod attachment;
+pub(crate) mod codec_error;
+pub mod counters;
+pub mod encoding;
+pub mod expiry;
+pub mod gaps;
+pub mod payload;
+pub mod queue;
+pub mod request;
+pub mod urgency;
+
+use std::time::{Duration, Instant};
+
+use zenoh_keyexpr::keyexpr;
+
+use self::{
+    attachment::{Attachment, Sent},
+    codec_error::CodecError,
+    gaps::{Gaps, SenderCounts},
+    payload::Payload,
+    urgency::Urgency,
+};
+use crate::name::{
+    key::{Address, AddressError, Audience, KeySpace, Selected},
+    topic::Topic,
+    Name,
+};
+
+/// A message from another robot, or from another program of this robot.
+#[derive(Clone, Debug)]
+pub struct Message {
+    /// The robot that sent the message.
+    pub sender: Name,
+    /// The one robot that the message was sent to. `None` if it was published to all robots.
+    pub recipient: Option<Name>,
+    /// The topic of the message.
+    pub topic: Topic,
+    /// The bytes of the message with their encoding, decoded unless there is a [`problem`](Self::problem).
+    pub payload: Payload,
+    /// The urgency with which the message was sent.
+    pub urgency: Urgency,
+    /// The time of sending by the sender's clock, in milliseconds since 1970. `None` if the sender does not use RECT.
+    /// The clock of a robot without a real-time clock may be years off.
+    pub sent_ms: Option<u64>,
+    /// The sequence number of the message at its publisher. `None` if the sender does not use RECT.
+    pub sequence: Option<u32>,
+    /// A random number that identifies the publisher: two programs of a robot may publish the same topic. `None` if the sender
+    /// does not use RECT.
+    pub publisher: Option<u16>,
+    /// The number of messages that the publisher sent directly before this one and that did not arrive.
+    pub missed: u32,
+    /// Whether a message that was published later arrived before this one.
+    pub late: bool,
+    /// Whether the message repeats one of a recording. [`sent_ms`](Self::sent_ms) is the time of that one.
+    pub replayed: bool,
+    /// When the message expires, on this computer's clock. `None`: it never does. A program that is busy for long may look again
+    /// before it acts on the message.
+    pub expires_at: Option<Instant>,
+    /// Why the payload could not be decoded and is delivered as it arrived: it is damaged, too large, or needs an
+    /// unknown dictionary. `None` if it was decoded.
+    pub problem: Option<CodecError>,
+    /// The method by which the message arrived, such as `ble`. `None` if it is unknown, or if this robot has links of
+    /// several methods with the sender.
+    pub method: Option<String>,
+}
+
+impl Message {
+    /// Creates a message that was published to all robots, by a sender that does not use RECT.
+    pub fn new(sender: Name, topic: Topic, payload: Payload) -> Self {
+        Self {
+            sender,
+            recipient: None,
+            topic,
+            payload,
+            urgency: Urgency::default(),
+            sent_ms: None,
+            sequence: None,
+            publisher: None,
+            missed: 0,
+            late: false,
+            replayed: false,
+            expires_at: None,
+            problem: None,
+            method: None,
+        }
+    }
+
+    /// Returns whether the message has expired at that time.
+    pub fn is_expired(&self, now: Instant) -> bool {
+        self.expires_at.is_some_and(|at| at <= now)
+    }
+}
+
+/// A sample that Zenoh delivered to a subscription.
+#[derive(Clone, Debug)]
+pub struct Delivery<'a> {
+    /// The Zenoh key.
+    pub key: &'a str,
+    /// The bytes and their encoding.
+    pub payload: Payload,
+    /// The attachment, if the sample has one.
+    pub attachment: Option<&'a [u8]>,
+    /// Zenoh's priority, 1 to 7.
+    pub priority: u8,
+    /// The number of the subscription through which it arrived, among those of [`Inbound::new`].
+    pub subscription: usize,
+}
+
+/// Why a sample is not delivered.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Undelivered {
+    /// Its key is not that of a message that is selected, or another subscription delivers it.
+    NotSelected,
+    /// The key is that of a message except for its topic, which RECT does not allow.
+    InvalidTopic,
+    /// The message has expired.
+    Expired {
+        /// The number of messages directly before it that did not arrive.
+        missed: u32,
+    },
+}
+
+/// Turns the samples of several Zenoh subscriptions into messages, each once, and counts those that did not arrive.
+#[derive(Debug)]
+pub struct Inbound {
+    keys: KeySpace,
+    selected: Vec<Selected>,
+    gaps: Gaps,
+    /// The key of the last message, its parts, and the subscription that delivers it: most subscriptions receive few keys.
+    last: Option<(String, Address, usize)>,
+}
+
+impl Inbound {
+    /// Creates the state of new subscriptions by a program of the robot of `keys`.
+    pub fn new(keys: KeySpace, selected: impl Into<Vec<Selected>>, now: Instant) -> Self {
+        Self {
+            keys,
+            selected: selected.into(),
+            gaps: Gaps::new(now),
+            last: None,
+        }
+    }
+
+    /// Returns the message that a sample contains. `now` is only called if the message expires.
+    ///
+    /// # Errors
+    /// Returns why the sample is not delivered.
+    pub fn on_delivery(
+        &mut self,
+        delivered: Delivery<'_>,
+        now: impl FnOnce() -> Instant,
+    ) -> Result<Message, Undelivered> {
+        let address = self.parse(delivered.key, delivered.subscription)?;
+        let attachment = delivered.attachment.and_then(Attachment::decode);
+        let mut message = Message {
+            recipient: address.recipient,
+            urgency: Urgency::from_priority(delivered.priority),
+            ..Message::new(address.sender, address.topic, delivered.payload)
+        };
+        match attachment {
+            None => self.gaps.on_unnumbered(&message.sender),
+            Some(attachment) => {
+                let lifetime = attachment
+                    .lifetime_ms
+                    .map(|ms| (now(), Duration::from_millis(ms.into())));
+                let now = lifetime.map(|(now, _)| now);
+                let arrival = (self.gaps).on_message(&message.sender, &attachment, now);
+                message.sequence = Some(attachment.sequence);
+                message.publisher = Some(attachment.source);
+                (message.missed, message.late) = (arrival.missed, arrival.late);
+                (message.sent_ms, message.replayed) = match attachment.sent {
+                    Sent::At(at_ms) => (Some(at_ms), false),
+                    Sent::Replayed(at_ms) => (Some(at_ms), true),
+                    Sent::Low(_) | Sent::Unknown => (None, false),
+                };
+                if let Some((now, lifetime)) = lifetime {
+                    let rest = lifetime.checked_sub(arrival.age);
+                    let rest = rest.filter(|rest| !rest.is_zero());
+                    let missed = message.missed;
+                    message.expires_at = Some(now + rest.ok_or(Undelivered::Expired { missed })?);
+                }
+            }
+        }
+        Ok(message)
+    }
+
+    /// Returns the subscriptions.
+    pub fn selected(&self) -> &[Selected] {
+        &self.selected
+    }
+
+    fn parse(&mut self, key: &str, subscription: usize) -> Result<Address, Undelivered> {
+        let (address, delivers) = match &self.last {
+            Some((last, address, delivers)) if last == key => (Ok(address.clone()), *delivers),
+            _ => {
+                let address = self.keys.parse(key);
+                let recipient = match &address {
+                    Ok(address) => address.recipient.as_ref(),
+                    Err(AddressError::InvalidTopic { recipient }) => recipient.as_ref(),
+                    Err(AddressError::NotAMessage) => return Err(Undelivered::NotSelected),
+                };
+                let delivers = self.delivers(key, self.keys.audience(recipient));
+                let delivers = delivers.ok_or(Undelivered::NotSelected)?;
+                if let Ok(address) = &address {
+                    self.last = Some((key.to_owned(), address.clone(), delivers));
+                }
+                (address, delivers)
+            }
+        };
+        if delivers != subscription {
+            return Err(Undelivered::NotSelected);
+        }
+        address.map_err(|_| Undelivered::InvalidTopic)
+    }
+
+    /// Returns the first of the subscriptions that select a message of that key to that audience.
+    fn delivers(&self, key: &str, audience: Audience) -> Option<usize> {
+        let numbered = self.selected.iter().enumerate();
+        let mut alike = numbered.filter(|(_, selected)| selected.audience == audience);
+        let (first, _) = alike.next()?;
+        if alike.next().is_none() {
+            return Some(first);
+        }
+        let key = keyexpr::new(key).ok()?;
+        self.selected.iter().position(|selected| {
+            let matches = keyexpr::new(&selected.key).is_ok_and(|selected| selected.includes(key));
+            selected.audience == audience && matches
+        })
+    }
+
+    /// Returns how many messages of each robot were received and missed.
+    pub fn counts_by_sender(&self) -> impl Iterator<Item = (&Name, SenderCounts)> {
+        self.gaps.counts_by_sender()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{message::encoding::Encoding, name::topic::Pattern};
+
+    fn inbound() -> Inbound {
+        let name = |text| Name::new(text).expect("valid name");
+        let (fleet, robot) = (name("rect"), name("wombat-1"));
+        let keys = KeySpace { fleet, robot };
+        let selected = keys.subscriptions(&Pattern::new("*/**").expect("valid pattern"));
+        Inbound::new(keys, selected, Instant::now())
+    }
+
+    const PUBLISHED: usize = 0;
+    const TO_THIS_ROBOT: usize = 1;
+
+    fn delivered<'a>(key: &'a str, attachment: Option<&'a [u8]>) -> Delivery<'a> {
+        Delivery {
+            key,
+            payload: Payload::new("1", Encoding::JSON),
+            attachment,
+            priority: 5,
+            subscription: usize::from(key.contains("/to/")),
+        }
+    }
+
+    #[test]
+    fn reads_sender_time_and_sequence_number() {
+        let attachment = |sequence| {
+            let sent = Sent::At(1_795_000_000_000);
+            let source = 7;
+            Attachment {
+                source,
+                sequence,
+                sent,
+                lifetime_ms: None,
+            }
+            .encode()
+        };
+        let mut inbound = inbound();
+        let first =
+            inbound.on_delivery(delivered("rect/a/x/y", Some(&attachment(3))), Instant::now);
+        let first = first.expect("a message");
+        assert_eq!((first.sender.as_str(), first.topic.as_str()), ("a", "x/y"));
+        assert_eq!((first.sequence, first.missed), (Some(3), 0));
+        assert_eq!(first.sent_ms, Some(1_795_000_000_000));
+        assert!(!first.replayed);
+        let next = inbound.on_delivery(delivered("rect/a/x/y", Some(&attachment(6))), Instant::now);
+        assert_eq!(next.expect("a message").missed, 2);
+    }
+
+    #[test]
+    fn message_of_a_recording_has_the_time_of_that_one() {
+        let attachment = Attachment {
+            source: 7,
+            sequence: 0,
+            sent: Sent::Replayed(5000),
+            lifetime_ms: None,
+        };
+        let attachment = attachment.encode();
+        let delivered = delivered("rect/a/x", Some(&attachment));
+        let message = inbound().on_delivery(delivered, Instant::now);
+        let message = message.expect("a message");
+        assert_eq!((message.sent_ms, message.replayed), (Some(5000), true));
+    }
+
+    #[test]
+    fn message_that_was_held_up_is_not_delivered() {
+        let (mut inbound, start) = (inbound(), Instant::now());
+        let ms = Duration::from_millis;
+        let mut on_message = |sequence: u32, sent: u64, arrived: u64| {
+            let attachment = Attachment {
+                source: 7,
+                sequence,
+                sent: Sent::At(1_795_000_000_000 + sent),
+                lifetime_ms: Some(200),
+            };
+            let attachment = attachment.encode();
+            let delivered = delivered("rect/a/drive", Some(&attachment));
+            inbound.on_delivery(delivered, || start + ms(arrived))
+        };
+        let fresh = on_message(0, 0, 10).expect("delivered");
+        assert!(!fresh.is_expired(start + ms(209)));
+        assert!(fresh.is_expired(start + ms(210)), "in the receive queue");
+        let late = on_message(1, 100, 260).expect("delivered");
+        assert!(!late.is_expired(start + ms(309)));
+        assert!(late.is_expired(start + ms(310)), "150 ms on the way");
+        let expired = on_message(4, 300, 3300).expect_err("3 s on the way");
+        assert_eq!(expired, Undelivered::Expired { missed: 2 });
+        assert!(on_message(5, 3290, 3300).is_ok());
+    }
+
+    #[test]
+    fn messages_of_other_zenoh_programs_have_no_sequence_number() {
+        let mut inbound = inbound();
+        for attachment in [None, Some(b"mine".as_slice())] {
+            let message =
+                inbound.on_delivery(delivered("rect/a/to/wombat-1/x", attachment), Instant::now);
+            let message = message.expect("a message");
+            assert_eq!((message.sequence, message.sent_ms), (None, None));
+            assert_eq!(message.recipient.expect("to me"), "wombat-1");
+        }
+        let counts: Vec<_> = inbound.counts_by_sender().collect();
+        assert_eq!(counts[0].1.received, 2);
+    }
+
+    #[test]
+    fn delivers_a_message_once_if_both_subscriptions_match() {
+        let mut twice = delivered("rect/a/to/wombat-1/x", None);
+        twice.subscription = PUBLISHED;
+        assert!(inbound().on_delivery(twice, Instant::now).is_err());
+    }
+
+    #[test]
+    fn counts_an_invalid_topic_once() {
+        let topic = "a\u{1b}]0;pwned\u{7}\u{1b}[2Jb\nfake/c";
+        for (key, other) in [
+            (format!("rect/a/{topic}"), TO_THIS_ROBOT),
+            (format!("rect/a/to/wombat-1/{topic}"), PUBLISHED),
+        ] {
+            let mut inbound = inbound();
+            let first = inbound.on_delivery(delivered(&key, None), Instant::now);
+            assert_eq!(first.expect_err("rejected"), Undelivered::InvalidTopic);
+            let mut twice = delivered(&key, None);
+            twice.subscription = other;
+            let second = inbound.on_delivery(twice, Instant::now);
+            assert_eq!(second.expect_err("rejected"), Undelivered::NotSelected);
+            assert_eq!(inbound.counts_by_sender().count(), 0);
+        }
+    }
+
+    #[test]
+    fn a_recorder_receives_each_message_once() {
+        let name = |text| Name::new(text).expect("valid name");
+        let (fleet, robot) = (name("rect"), name("wombat-1"));
+        let keys = KeySpace { fleet, robot };
+        let delivering = |patterns: &[&str], key: &str| {
+            let patterns = patterns.iter().map(|text| Pattern::new(text));
+            let patterns: Vec<_> = patterns.map(|new| new.expect("valid pattern")).collect();
+            let selected = keys.recorded(&patterns);
+            let sample = keyexpr::new(key).expect("a key");
+            let mut inbound = Inbound::new(keys.clone(), selected.clone(), Instant::now());
+            let matching = selected.iter().enumerate().filter(|(_, selected)| {
+                let selected = keyexpr::new(&selected.key).expect("a key expression");
+                selected.includes(sample)
+            });
+            let delivered = matching.filter(|(subscription, _)| {
+                let mut delivered = delivered(key, None);
+                delivered.subscription = *subscription;
+                inbound.on_delivery(delivered, Instant::now).is_ok()
+            });
+            delivered.count()
+        };
+        let own = [
+            "rect/wombat-1/x/y",
+            "rect/wombat-1/to/wombat-2/x",
+            "rect/wombat-1/to/wombat-1/x",
+            "rect/wombat-2/to/wombat-1/x",
+        ];
+        let others = ["rect/wombat-2/x", "rect/wombat-2/to/wombat-3/x"];
+        for (patterns, key, count) in [
+            own.map(|key| (&[][..], key, 1)).as_slice(),
+            &others.map(|key| (&[][..], key, 0)),
+            &own.map(|key| (&["*/**", "wombat-1/**", "*/x"][..], key, 1)),
+            &[(&["*/**"], "rect/wombat-2/x", 1)],
+            &[(&["*/**"], "rect/wombat-2/to/wombat-3/x", 0)],
+            &[(&["wombat-2/**"], "rect/wombat-1/to/wombat-2/x", 0)],
+            &[(&["wombat-1/**"], "rect/wombat-2/to/wombat-1/x", 0)],
+        ]
+        .concat()
+        {
+            assert_eq!(delivering(patterns, key), count, "{patterns:?} {key}");
+        }
+    }
+}

@@ -1,0 +1,38 @@
+//! Reads and writes the files of transfers: what is sent ([`Source`]), and what is received ([`Store`]). Apart
+//! from the files of dictionaries, all disk I/O of the protocol is here. This module does not depend on Zenoh.
+mod files;
+mod source;
+mod store;
+
+pub use files::{Concluded, Files};
+pub use source::Source;
+pub use store::{Content, Store};
+
+use std::{
+    fs::File,
+    io::{self, Read},
+};
+
+use sha2::{Digest, Sha256};
+
+use crate::transfer::Checksum;
+
+/// The size of the read buffer, in bytes.
+const BUFFER_BYTES: usize = 256 * 1024;
+
+/// Computes the SHA-256 of a whole file, in little memory.
+fn checksum(file: &mut File) -> io::Result<(Checksum, u64)> {
+    let (mut hash, mut size) = (Sha256::new(), 0);
+    let mut buffer = vec![0; BUFFER_BYTES];
+    loop {
+        match file.read(&mut buffer) {
+            Ok(0) => return Ok((Checksum(hash.finalize().into()), size)),
+            Ok(read) => {
+                hash.update(buffer.get(..read).unwrap_or_default());
+                size += read as u64;
+            }
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(error) => return Err(error),
+        }
+    }
+}

@@ -1,0 +1,289 @@
+//! Describes steps, items and outputs of drivers as JSON, in the form in which Python gets them.
+use std::{convert::Infallible, time::Instant};
+
+use rect_core::{
+    driver::{Action, Answer, Declaration, Reaction, Step, Target},
+    message::{payload::Payload, urgency::Qos},
+    name::Name,
+    registry::{
+        connection::{Connection, Event, Link},
+        RegistryError,
+    },
+    session::{decoder::Fetched, peers::Waited},
+    stream::frame::ReceivedFrame,
+    transfer::{push::SendError, reception::Arrival, Fault, Progress},
+};
+use serde_json::{json, Value};
+
+/// A value that a driver delivers, or with which it finishes.
+pub trait Describe {
+    fn describe(self) -> Value;
+}
+
+/// Describes bytes as text if they are printable, and otherwise in hexadecimal.
+pub fn bytes(bytes: &[u8]) -> Value {
+    match std::str::from_utf8(bytes) {
+        Ok(text) if text.chars().all(|char| !char.is_control()) => json!({ "text": text }),
+        _ => json!({ "hex": bytes.iter().map(|byte| format!("{byte:02x}")).collect::<String>() }),
+    }
+}
+
+pub fn reaction<I: Describe>(reaction: Reaction<I>) -> Value {
+    let items: Vec<Value> = reaction.items.into_iter().map(I::describe).collect();
+    json!([items, reaction.polls])
+}
+
+pub fn step<I: Describe, O: Describe>(step: Step<I, O>, now: Instant) -> Value {
+    match step {
+        Step::Act(action) => act(action),
+        Step::Deliver(item) => json!(["deliver", item.describe()]),
+        Step::Wait(until) => {
+            let seconds = until.map(|until| until.saturating_duration_since(now).as_secs_f64());
+            json!(["wait", seconds])
+        }
+        Step::Finished(output) => json!(["finished", output.describe()]),
+    }
+}
+
+pub fn act(action: Action) -> Value {
+    match action {
+        Action::Declare { id, declaration } => declare(id.0, declaration),
+        Action::Undeclare { id } => json!(["undeclare", id.0]),
+        Action::Put {
+            publisher,
+            payload,
+            attachment,
+        } => {
+            let attachment = attachment.map(|attachment| bytes(&attachment));
+            json!([
+                "put",
+                publisher.0,
+                bytes(&payload.bytes),
+                encoding(&payload),
+                attachment
+            ])
+        }
+        Action::PutOnce { key, payload, qos } => {
+            json!([
+                "put_once",
+                key,
+                bytes(&payload.bytes),
+                encoding(&payload),
+                qos_fields(qos)
+            ])
+        }
+        Action::Get { id, get } if get.liveliness => {
+            json!([
+                "get_liveliness",
+                id.0,
+                get.selector,
+                get.timeout.as_secs_f64()
+            ])
+        }
+        Action::Get { id, get } => json!([
+            "get",
+            id.0,
+            get.selector,
+            get.payload.as_ref().map(parts),
+            get.attachment.map(|attachment| bytes(&attachment)),
+            qos_fields(get.qos),
+            get.target == Target::All,
+            get.timeout.as_secs_f64(),
+        ]),
+        Action::Answer { query, answer } => match answer {
+            Answer::Reply { key, payload } => {
+                json!([
+                    "reply",
+                    query.0,
+                    key,
+                    bytes(&payload.bytes),
+                    encoding(&payload)
+                ])
+            }
+            Answer::Error(payload) => {
+                json!([
+                    "reply_error",
+                    query.0,
+                    bytes(&payload.bytes),
+                    encoding(&payload)
+                ])
+            }
+            Answer::None => json!(["end_query", query.0]),
+        },
+    }
+}
+
+fn declare(id: u64, declaration: Declaration) -> Value {
+    match declaration {
+        Declaration::Publisher {
+            key,
+            qos,
+            observes_matching,
+        } => json!([
+            "declare_publisher",
+            id,
+            key,
+            qos_fields(qos),
+            observes_matching
+        ]),
+        Declaration::Subscriber { key } => json!(["declare_subscriber", id, key]),
+        Declaration::Queryable { key, complete } => json!(["declare_queryable", id, key, complete]),
+        Declaration::LivelinessToken { key } => json!(["declare_token", id, key]),
+        Declaration::LivelinessSubscriber { key } => {
+            json!(["declare_liveliness_subscriber", id, key])
+        }
+        Declaration::LinkListener => json!(["declare_link_listener", id]),
+    }
+}
+
+fn qos_fields(qos: Qos) -> Value {
+    json!([qos.priority, qos.express, qos.droppable])
+}
+
+fn encoding(payload: &Payload) -> &str {
+    payload.encoding.as_str()
+}
+
+fn parts(payload: &Payload) -> Value {
+    json!([bytes(&payload.bytes), encoding(payload)])
+}
+
+impl Describe for Infallible {
+    fn describe(self) -> Value {
+        match self {}
+    }
+}
+
+impl Describe for () {
+    fn describe(self) -> Value {
+        Value::Null
+    }
+}
+
+impl Describe for Vec<Name> {
+    fn describe(self) -> Value {
+        json!(self.iter().map(Name::as_str).collect::<Vec<_>>())
+    }
+}
+
+impl Describe for Waited {
+    fn describe(self) -> Value {
+        json!(match self {
+            Self::Ready => "ready",
+            Self::TimedOut => "timed_out",
+            Self::Closed => "closed",
+        })
+    }
+}
+
+impl Describe for Result<Payload, RegistryError> {
+    fn describe(self) -> Value {
+        match self {
+            Ok(payload) => json!(["answer", parts(&payload)]),
+            Err(RegistryError::Rejected(payload)) => json!(["rejected", parts(&payload)]),
+            Err(RegistryError::TimedOut { expected }) => json!(["timed_out", expected]),
+            Err(RegistryError::NoService { service, available }) => {
+                json!(["no_service", [json!(service), available.describe()]])
+            }
+            Err(RegistryError::Closed) => json!(["closed", null]),
+        }
+    }
+}
+
+impl Describe for ReceivedFrame {
+    fn describe(self) -> Value {
+        let age = self.age.map(|age| age.as_secs_f64());
+        let (payload, encoding) = (bytes(&self.payload.bytes), self.payload.encoding.as_str());
+        json!([self.ordinal, self.lost, self.number, age, payload, encoding])
+    }
+}
+
+impl Describe for Event {
+    fn describe(self) -> Value {
+        let link = |kind,
+                    Link {
+                        method,
+                        address,
+                        robot,
+                    }: Link| {
+            json!([kind, robot.map(|robot| robot.to_string()), method, address])
+        };
+        match self {
+            Self::PeerUp { robot } => json!(["peer_up", robot.as_str()]),
+            Self::PeerDown { robot } => json!(["peer_down", robot.as_str()]),
+            Self::LinkUp(up) => link("link_up", up),
+            Self::LinkDown(down) => link("link_down", down),
+            Self::PathSwitched { link, path, reason } => json!([
+                "path_switched",
+                link.robot.map(|robot| robot.to_string()),
+                link.method,
+                link.address,
+                path,
+                reason.as_str()
+            ]),
+            Self::RouterUp => json!(["router_up"]),
+            Self::RouterDown => json!(["router_down"]),
+        }
+    }
+}
+
+impl Describe for Vec<Connection> {
+    fn describe(self) -> Value {
+        json!(format!("{} connections", self.len()))
+    }
+}
+
+impl Describe for Progress {
+    fn describe(self) -> Value {
+        json!([self.received_bytes, self.size_bytes])
+    }
+}
+
+impl Describe for Fetched {
+    fn describe(self) -> Value {
+        match &self.dictionary {
+            Some(dictionary) => json!(format!("dictionary {}", dictionary.id())),
+            None => json!(self.to_string()),
+        }
+    }
+}
+
+impl Describe for Result<(), SendError> {
+    fn describe(self) -> Value {
+        json!(match self {
+            Ok(()) => "complete".to_owned(),
+            Err(SendError::Refused(refusal)) => refusal.to_string(),
+            Err(SendError::Failed(fault)) => fault.to_string(),
+            Err(SendError::TimedOut { expected, timeout }) =>
+                format!("no {expected} within {} s", timeout.as_secs()),
+            Err(SendError::Closed) => "closed".to_owned(),
+        })
+    }
+}
+
+impl Describe for Result<(), Fault> {
+    fn describe(self) -> Value {
+        json!(match self {
+            Ok(()) => "complete".to_owned(),
+            Err(fault) => fault.to_string(),
+        })
+    }
+}
+
+impl Describe for Arrival {
+    fn describe(self) -> Value {
+        match self {
+            Self::Begin(id, offer) => json!([
+                "begin",
+                format!(
+                    "{id} {}/{} {:?}, {} bytes",
+                    offer.sender,
+                    offer.topic,
+                    offer.name.as_str(),
+                    offer.size_bytes
+                )
+            ]),
+            Self::OfferedAgain(id) => json!(["offered_again", id.to_string()]),
+        }
+    }
+}

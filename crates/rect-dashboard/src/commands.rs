@@ -1,0 +1,174 @@
+//! Executes the commands of the page that are answered: publish, request, connections, check, stop and record.
+use std::time::{Duration, Instant};
+
+use rect::{Name, NamedConnection, Topic};
+use rect_core::message::payload;
+use rect_recording::view;
+use serde_json::{json, Value};
+
+use crate::{
+    protocol::{Command, ConnectionForm},
+    App,
+};
+
+/// How long a service may take.
+const TIMEOUT: Duration = Duration::from_secs(5);
+/// How long robots may take to confirm a stop.
+const STOP_WITHIN: Duration = Duration::from_secs(2);
+
+type Answer = Result<Value, String>;
+
+/// Returns the number of a command that is answered; 0 for the others.
+pub fn id_of(command: &Command) -> u32 {
+    match command {
+        Command::Show { .. } => 0,
+        Command::Watch { id, .. }
+        | Command::Unwatch { id }
+        | Command::Key { id }
+        | Command::Publish { id, .. }
+        | Command::Request { id, .. }
+        | Command::Connect { id, .. }
+        | Command::Disconnect { id, .. }
+        | Command::Check { id, .. }
+        | Command::Stop { id }
+        | Command::Record { id, .. } => *id,
+    }
+}
+
+/// Executes a command.
+///
+/// # Errors
+/// Fails with what the user of the page reads.
+pub async fn execute(app: &App, command: Command) -> Answer {
+    // A stop is always permitted to those who see the page, because somebody may be in danger.
+    let changes_nothing = matches!(command, Command::Stop { .. } | Command::Check { .. });
+    if app.read_only && !changes_nothing {
+        return Err("this dashboard only shows: it was started with --read-only".to_owned());
+    }
+    match command {
+        Command::Publish {
+            to,
+            topic,
+            value,
+            urgent,
+            ..
+        } => publish(app, to.as_deref(), &topic, value, urgent).await,
+        Command::Request {
+            robot,
+            topic,
+            value,
+            ..
+        } => request(app, &robot, &topic, value).await,
+        Command::Connect {
+            robot, connection, ..
+        } => connect(app, &robot, connection).await,
+        Command::Disconnect { robot, name, .. } => {
+            let removed = app.robot.remove_connection_of(robot.as_str(), &name);
+            removed.await.map(|()| Value::Null).map_err(text)
+        }
+        Command::Check { robot, .. } => {
+            let robot = Name::new(&robot).map_err(text)?;
+            let findings = app.robot.query_registry(robot, "doctor", "");
+            findings.await.map_err(text)
+        }
+        Command::Stop { .. } => stop(app).await,
+        Command::Record { on, .. } => {
+            let recording = app.recording.as_ref();
+            let recording =
+                recording.ok_or("start the dashboard with --record <folder> to make recordings")?;
+            let file = match on {
+                true => recording.start().await?,
+                false => recording.finish().await?,
+            };
+            recording.show(&app.browsers).await;
+            Ok(file.into())
+        }
+        Command::Show { .. }
+        | Command::Watch { .. }
+        | Command::Unwatch { .. }
+        | Command::Key { .. } => Ok(Value::Null),
+    }
+}
+
+async fn publish(app: &App, to: Option<&str>, topic: &str, value: String, urgent: bool) -> Answer {
+    let robot = match urgent {
+        true => app.robot.urgent(),
+        false => app.robot.clone(),
+    };
+    let topic = Topic::new(topic).map_err(text)?;
+    let payload = payload::typed(value);
+    let sent = match to {
+        Some(to) => {
+            robot
+                .send(Name::new(to).map_err(text)?, topic, payload)
+                .await
+        }
+        None => robot.publish(topic, payload).await,
+    };
+    sent.map(|()| Value::Null).map_err(text)
+}
+
+async fn request(app: &App, robot: &str, topic: &str, value: String) -> Answer {
+    let started = Instant::now();
+    let name = Name::new(robot).map_err(text)?;
+    let topic = Topic::new(topic).map_err(text)?;
+    let reply = app
+        .robot
+        .request(name, topic, payload::typed(value), TIMEOUT)
+        .await
+        .map_err(text)?;
+    Ok(json!({"reply": view::value(&reply.payload), "ms": milliseconds(started)}))
+}
+
+async fn connect(app: &App, robot: &str, form: ConnectionForm) -> Answer {
+    let ConnectionForm {
+        name,
+        method,
+        address,
+        port,
+    } = form;
+    let connection = NamedConnection::new(name, method, address);
+    let connection = port.into_iter().fold(connection, NamedConnection::port);
+    let added = app.robot.add_connection_of(robot, &connection);
+    added.await.map(|()| Value::Null).map_err(text)
+}
+
+/// Asks all robots to stop, and returns each confirmation with the time it took.
+async fn stop(app: &App) -> Answer {
+    let topic = app
+        .stop
+        .clone()
+        .ok_or("start the dashboard with --stop <service> to have a stop button")?;
+    let started = Instant::now();
+    let robot = app.robot.urgent();
+    let mut replies = robot
+        .request_all(topic, "", STOP_WITHIN)
+        .await
+        .map_err(text)?;
+    let mut confirmed = Vec::new();
+    let mut problems = Vec::new();
+    while let Some(reply) = replies.next().await {
+        match reply {
+            Ok(reply) => confirmed.push(json!({
+                "robot": reply.sender.as_str(),
+                "ms": milliseconds(started),
+            })),
+            Err(error) => problems.push(error.to_string()),
+        }
+    }
+    let reachable = robot.peers().await.unwrap_or_default();
+    let reachable = reachable.iter().map(Name::as_str);
+    Ok(json!({
+        "confirmed": confirmed,
+        "reachable": reachable.collect::<Vec<_>>(),
+        "problems": problems,
+    }))
+}
+
+fn milliseconds(since: Instant) -> f64 {
+    (since.elapsed().as_secs_f64() * 10_000.0).round() / 10.0
+}
+
+fn text(error: impl std::fmt::Display) -> String {
+    error.to_string()
+}

@@ -1,0 +1,191 @@
+//! Serves RECT's dashboard, a page that shows the robots, their links and their data in a browser. `rect dashboard` runs it.
+//!
+//! [`Dashboard::bind`] checks the settings and listens, [`Dashboard::serve`] shows what a robot sees to all browsers.
+mod browsers;
+mod commands;
+mod feed;
+mod fleet;
+mod guard;
+mod login;
+mod outbox;
+pub mod plot;
+mod protocol;
+mod recording;
+mod server;
+mod socket;
+pub mod topics;
+
+use std::{
+    net::SocketAddr,
+    path::{Path, PathBuf},
+    sync::Arc,
+    time::Duration,
+};
+
+use rect::{Robot, Topic};
+use tokio::{net::TcpListener, time::interval};
+
+use self::{
+    browsers::Browsers, feed::Feeds, guard::Guard, login::Logins, recording::Recording,
+    server::Protection,
+};
+
+/// How often the state of a recording is shown.
+const SHOWN_EVERY: Duration = Duration::from_secs(1);
+
+/// The error of the dashboard, whose text is for people.
+pub type Failure = Box<dyn std::error::Error + Send + Sync>;
+
+/// The settings of a dashboard.
+#[derive(Clone, Debug)]
+pub struct Settings {
+    /// The address and port for browsers.
+    pub listen: SocketAddr,
+    /// The service of all robots that the Stop button calls. `None`: there is no such button.
+    pub stop: Option<Topic>,
+    /// The folder to which the Record button records. `None`: there is no such button.
+    pub record: Option<PathBuf>,
+    /// Whether the page can neither publish nor change anything.
+    pub read_only: bool,
+    /// The file of the logins that browsers need. `None`: they need none.
+    pub logins: Option<PathBuf>,
+    /// The certificate and its private key, two files in PEM. `None`: the connections are not encrypted.
+    pub certificate: Option<(PathBuf, PathBuf)>,
+    /// The host names that browsers may use, besides those of this computer.
+    pub names: Vec<String>,
+    /// The sites whose pages may contain parts of the dashboard.
+    pub embed_in: Vec<String>,
+}
+
+/// A dashboard that listens, and accepts no browser yet.
+pub struct Dashboard {
+    listener: TcpListener,
+    protection: Protection,
+    settings: Settings,
+}
+
+/// A dashboard that serves browsers.
+pub struct Serving {
+    app: Arc<App>,
+    url: String,
+    is_exposed: bool,
+}
+
+/// The state that all browsers share.
+struct App {
+    robot: Robot,
+    browsers: Arc<Browsers>,
+    feeds: Feeds,
+    recording: Option<Recording>,
+    stop: Option<Topic>,
+    read_only: bool,
+}
+
+impl Dashboard {
+    /// Reads the files of the settings, and listens for browsers.
+    ///
+    /// # Errors
+    /// Fails if a file cannot be read, a value is invalid, or another program uses the address.
+    pub async fn bind(settings: Settings) -> Result<Self, Failure> {
+        let protection = protection(&settings)?;
+        let address = settings.listen;
+        let listener = TcpListener::bind(address).await.map_err(|error| {
+            format!(
+                "cannot listen on {address}: {error}; choose another address or port with --listen"
+            )
+        })?;
+        Ok(Self {
+            listener,
+            protection,
+            settings,
+        })
+    }
+
+    /// Serves browsers what `robot` sees. Requires tokio's runtime.
+    ///
+    /// # Errors
+    /// Fails if the folder of the recordings cannot be created.
+    pub fn serve(self, robot: Robot) -> Result<Serving, Failure> {
+        let at = self.listener.local_addr()?;
+        let folder = self.settings.record.as_deref().map(writable).transpose()?;
+        let is_tls = self.protection.tls.is_some();
+        let app = Arc::new(App {
+            browsers: Arc::default(),
+            feeds: Feeds::new(robot.clone()),
+            recording: folder.map(|folder| Recording::new(robot.clone(), folder)),
+            stop: self.settings.stop,
+            read_only: self.settings.read_only,
+            robot,
+        });
+        let served = app.clone();
+        tokio::spawn(async move { server::serve(self.listener, served, self.protection).await });
+        let shown = app.clone();
+        tokio::spawn(async move { show_recording(&shown).await });
+        Ok(Serving {
+            app,
+            url: url(at, is_tls),
+            is_exposed: !at.ip().is_loopback() && !is_tls,
+        })
+    }
+}
+
+impl Serving {
+    /// Returns the address of the page on this computer.
+    pub fn url(&self) -> &str {
+        &self.url
+    }
+
+    /// Returns whether other computers can open the page over a connection that is not encrypted.
+    pub fn is_exposed(&self) -> bool {
+        self.is_exposed
+    }
+
+    /// Keeps browsers informed about the fleet until the robot's session is closed.
+    ///
+    /// # Errors
+    /// Fails if the session is closed already.
+    pub async fn until_closed(self) -> Result<(), rect::Error> {
+        fleet::observe(self.app.robot.clone(), self.app.browsers.clone()).await
+    }
+}
+
+async fn show_recording(app: &App) {
+    let Some(recording) = &app.recording else {
+        return;
+    };
+    let mut tick = interval(SHOWN_EVERY);
+    loop {
+        tick.tick().await;
+        recording.show(&app.browsers).await;
+    }
+}
+
+fn protection(settings: &Settings) -> Result<Protection, Failure> {
+    let tls = match &settings.certificate {
+        Some((certificate, key)) => Some(server::tls(certificate, key)?),
+        None => None,
+    };
+    let logins = settings.logins.as_deref().map(Logins::read).transpose();
+    let logins = logins.map_err(|error| {
+        format!("beyond this computer, the dashboard requires a login: {error}. Name the team's login file with --logins")
+    })?;
+    Ok(Protection {
+        guard: Guard::new(&settings.names, &settings.embed_in, tls.is_some())?,
+        logins,
+        tls,
+    })
+}
+
+fn writable(folder: &Path) -> Result<PathBuf, Failure> {
+    std::fs::create_dir_all(folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    Ok(folder.to_owned())
+}
+
+/// Returns the address of the page on this computer.
+fn url(at: SocketAddr, is_tls: bool) -> String {
+    let scheme = if is_tls { "https" } else { "http" };
+    match at.ip().is_unspecified() {
+        true => format!("{scheme}://localhost:{}", at.port()),
+        false => format!("{scheme}://{at}"),
+    }
+}

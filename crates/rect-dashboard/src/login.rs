@@ -1,0 +1,208 @@
+//! Decides who may see the page: checks logins, limits attempts, and keeps the sessions of browsers.
+use std::{
+    collections::HashMap,
+    fs,
+    net::IpAddr,
+    path::Path,
+    sync::{Mutex, MutexGuard, PoisonError},
+    time::{Duration, Instant},
+};
+
+use rand::{rngs::OsRng, RngCore};
+use rect_core::session::login::logins;
+use sha2::{Digest, Sha256};
+
+/// The name of the cookie that identifies a session.
+pub const COOKIE: &str = "rect_session";
+/// How long a session lasts.
+pub const LASTS: Duration = Duration::from_secs(12 * 3600);
+/// The largest number of sessions. Beyond it, the one that ends first is ended.
+const MAX_SESSIONS: usize = 100;
+/// The number of wrong logins that one address may try in [`WINDOW`].
+const MAX_ATTEMPTS: u32 = 8;
+const WINDOW: Duration = Duration::from_secs(60);
+/// The largest number of addresses whose attempts are counted.
+const MAX_ADDRESSES: usize = 1000;
+
+/// The logins of the team, and the sessions of browsers.
+pub struct Logins {
+    /// Hashes of user and password. Comparing them takes the same time for each guess of a password.
+    known: Vec<[u8; 32]>,
+    state: Mutex<State>,
+}
+
+#[derive(Default)]
+struct State {
+    /// The ends of the sessions, by the hashes of their tokens.
+    sessions: HashMap<[u8; 32], Instant>,
+    attempts: HashMap<IpAddr, Attempts>,
+}
+
+struct Attempts {
+    since: Instant,
+    wrong: u32,
+}
+
+/// Why a login is refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refused {
+    /// The user or the password is wrong.
+    Wrong,
+    /// There were too many wrong logins from this address.
+    TooMany,
+}
+
+impl Logins {
+    /// Reads a login file.
+    ///
+    /// # Errors
+    /// Fails if the file cannot be read or contains no login.
+    pub fn read(file: &Path) -> Result<Self, String> {
+        let named = |problem: String| format!("{}: {problem}", file.display());
+        let text = fs::read_to_string(file).map_err(|error| named(error.to_string()))?;
+        let known: Vec<_> = logins(&text)
+            .map(|(user, password)| hash_of(user, password))
+            .collect();
+        match known.is_empty() {
+            true => Err(named(
+                "contains no login; write one as user:password".to_owned(),
+            )),
+            false => Ok(Self {
+                known,
+                state: Mutex::default(),
+            }),
+        }
+    }
+
+    /// Checks a login from an address. Returns the token of a new session.
+    ///
+    /// # Errors
+    /// Fails if it is wrong, or if there were too many wrong ones.
+    pub fn log_in(
+        &self,
+        from: IpAddr,
+        user: &str,
+        password: &str,
+        now: Instant,
+    ) -> Result<String, Refused> {
+        let mut state = self.state();
+        state
+            .attempts
+            .retain(|_, attempts| now.duration_since(attempts.since) < WINDOW);
+        let wrong = state
+            .attempts
+            .get(&from)
+            .map_or(0, |attempts| attempts.wrong);
+        if wrong >= MAX_ATTEMPTS || (wrong == 0 && state.attempts.len() >= MAX_ADDRESSES) {
+            return Err(Refused::TooMany);
+        }
+        let hash = hash_of(user.trim(), password.trim());
+        if !self.known.contains(&hash) {
+            let attempts = state.attempts.entry(from).or_insert(Attempts {
+                since: now,
+                wrong: 0,
+            });
+            attempts.wrong += 1;
+            return Err(Refused::Wrong);
+        }
+        state.sessions.retain(|_, ends| *ends > now);
+        if state.sessions.len() >= MAX_SESSIONS {
+            let first = state.sessions.iter().min_by_key(|(_, ends)| **ends);
+            if let Some(first) = first.map(|(token, _)| *token) {
+                state.sessions.remove(&first);
+            }
+        }
+        let token = new_token();
+        state
+            .sessions
+            .insert(Sha256::digest(&token).into(), now + LASTS);
+        Ok(token)
+    }
+
+    /// Returns whether a session of that token lasts.
+    pub fn is_logged_in(&self, token: &str, now: Instant) -> bool {
+        let state = self.state();
+        let hash: [u8; 32] = Sha256::digest(token).into();
+        state.sessions.get(&hash).is_some_and(|ends| *ends > now)
+    }
+
+    /// Ends a session.
+    pub fn log_out(&self, token: &str) {
+        let hash: [u8; 32] = Sha256::digest(token).into();
+        self.state().sessions.remove(&hash);
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn hash_of(user: &str, password: &str) -> [u8; 32] {
+    // No user contains a colon.
+    Sha256::digest(format!("{user}:{password}")).into()
+}
+
+fn new_token() -> String {
+    let mut random = [0; 32];
+    OsRng.fill_bytes(&mut random);
+    random.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const HERE: IpAddr = IpAddr::V4(std::net::Ipv4Addr::LOCALHOST);
+    const THERE: IpAddr = IpAddr::V4(std::net::Ipv4Addr::BROADCAST);
+
+    fn logins() -> Logins {
+        let file = tempfile::NamedTempFile::new().expect("file");
+        fs::write(
+            file.path(),
+            "team:secret secret\n# no login\nmentor: other\n",
+        )
+        .expect("written");
+        Logins::read(file.path()).expect("logins")
+    }
+
+    #[test]
+    fn sessions_begin_with_a_login_and_end() {
+        let (logins, now) = (logins(), Instant::now());
+        let token = logins
+            .log_in(HERE, "team", "secret secret", now)
+            .expect("right");
+        let other = logins.log_in(HERE, "mentor", "other", now).expect("right");
+        assert_ne!(token, other);
+        assert!(logins.is_logged_in(&token, now) && !logins.is_logged_in("", now));
+        assert!(!logins.is_logged_in(&token, now + LASTS));
+        logins.log_out(&token);
+        assert!(!logins.is_logged_in(&token, now) && logins.is_logged_in(&other, now));
+    }
+
+    #[test]
+    fn wrong_logins_are_limited_for_their_address_alone() {
+        let (logins, now) = (logins(), Instant::now());
+        for _ in 0..MAX_ATTEMPTS {
+            assert_eq!(
+                logins.log_in(HERE, "team", "guess", now),
+                Err(Refused::Wrong)
+            );
+        }
+        let right = |from, now| logins.log_in(from, "team", "secret secret", now);
+        assert_eq!(right(HERE, now), Err(Refused::TooMany));
+        assert!(right(THERE, now).is_ok() && right(HERE, now + WINDOW).is_ok());
+    }
+
+    #[test]
+    fn the_number_of_sessions_is_limited() {
+        let (logins, now) = (logins(), Instant::now());
+        let log_in =
+            |after| logins.log_in(HERE, "mentor", "other", now + Duration::from_secs(after));
+        let first = log_in(0).expect("right");
+        for after in 1..=MAX_SESSIONS as u64 {
+            log_in(after).expect("right");
+        }
+        assert!(!logins.is_logged_in(&first, now));
+        assert_eq!(logins.state().sessions.len(), MAX_SESSIONS);
+    }
+}

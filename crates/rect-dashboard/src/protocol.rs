@@ -1,0 +1,362 @@
+//! Defines the messages between the page and this program, on a WebSocket.
+//!
+//! The page sends [`Command`]s as JSON in text messages. It receives binary messages, whose first byte is their kind: [`STATE`]
+//! is followed by a [`State`] in JSON, and [`DATA`] by the length of a [`DataHeader`] (32 bits, little endian), the header in
+//! JSON, and the value: JSON, or the bytes of a picture or of a frame of a video.
+use axum::body::Bytes;
+use rect::Connection;
+use rect_recording::report::EventReport;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+/// The version of these messages. A page of another version reloads itself.
+pub const VERSION: u32 = 3;
+/// The kind of a message that contains a [`State`].
+pub const STATE: u8 = 1;
+/// The kind of a message that contains a value of a topic.
+pub const DATA: u8 = 2;
+/// The largest command, in bytes.
+pub const MAX_COMMAND: usize = 128 * 1024;
+
+/// A command of the page. Each one with an `id` is answered with [`State::Answer`].
+#[derive(Debug, Deserialize)]
+#[serde(tag = "type", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Command {
+    /// Names the lists that the page shows.
+    Show {
+        /// Whether it shows the topics, which the routers count only while somebody asks for them.
+        topics: bool,
+    },
+    /// Receive a topic.
+    Watch {
+        /// The number of the values in their headers.
+        id: u32,
+        /// `<robot>/<topic>`.
+        topic: String,
+        /// Whether to receive frames of a stream.
+        stream: bool,
+        /// Whether the page decodes video; otherwise it gets pictures.
+        #[serde(default)]
+        video: bool,
+    },
+    /// Ask for a key frame of a stream.
+    Key {
+        /// The number of the `Watch`.
+        id: u32,
+    },
+    /// End a `Watch`.
+    Unwatch {
+        /// The number of the `Watch`.
+        id: u32,
+    },
+    /// Publish a message, or send it to one robot.
+    Publish {
+        /// The number of the answer.
+        id: u32,
+        /// The one robot to send it to.
+        to: Option<String>,
+        /// The topic.
+        topic: String,
+        /// The value: JSON, or else a text.
+        value: String,
+        /// Whether the message is urgent.
+        urgent: bool,
+    },
+    /// Send a request to a service.
+    Request {
+        /// The number of the answer.
+        id: u32,
+        /// The robot.
+        robot: String,
+        /// The service.
+        topic: String,
+        /// The value: JSON, or else a text.
+        value: String,
+    },
+    /// Add a named connection to a robot's router, or replace it.
+    Connect {
+        /// The number of the answer.
+        id: u32,
+        /// The robot.
+        robot: String,
+        /// The connection.
+        connection: ConnectionForm,
+    },
+    /// Remove a named connection.
+    Disconnect {
+        /// The number of the answer.
+        id: u32,
+        /// The robot.
+        robot: String,
+        /// The name of the connection.
+        name: String,
+    },
+    /// Ask the router of a robot what is wrong with its computer and its links.
+    Check {
+        /// The number of the answer.
+        id: u32,
+        /// The robot.
+        robot: String,
+    },
+    /// Send an urgent request to the configured service of all robots.
+    Stop {
+        /// The number of the answer.
+        id: u32,
+    },
+    /// Start or finish a recording.
+    Record {
+        /// The number of the answer.
+        id: u32,
+        /// Whether to record.
+        on: bool,
+    },
+}
+
+/// A named connection, as the page's form has it.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ConnectionForm {
+    /// The name.
+    pub name: String,
+    /// The method, such as `ble`.
+    pub method: String,
+    /// The robot or the host.
+    pub address: String,
+    /// The port, for methods that have one.
+    pub port: Option<u16>,
+}
+
+/// A state or an answer for the page.
+#[derive(Clone, Debug, Serialize)]
+#[serde(tag = "type", rename_all = "snake_case")]
+pub enum State<'a> {
+    /// The first message.
+    Hello {
+        /// [`VERSION`].
+        version: u32,
+        /// The robot as which the page publishes.
+        robot: &'a str,
+        /// Its fleet.
+        fleet: &'a str,
+        /// Whether the page may only look.
+        read_only: bool,
+        /// Whether there is a login, and so a logout.
+        login: bool,
+        /// The service of the Stop button.
+        stop: Option<&'a str>,
+        /// Whether recordings can be made.
+        record: bool,
+    },
+    /// The robots of the fleet.
+    Fleet {
+        /// The robots, in alphabetical order.
+        robots: &'a [RobotState],
+        /// Whether this program is connected to its router.
+        connected: bool,
+    },
+    /// The topics of the fleet.
+    Topics {
+        /// The topics.
+        topics: &'a [TopicRow<'a>],
+        /// The number of topics that are not listed.
+        more: usize,
+        /// Why there are none.
+        problem: Option<&'a str>,
+    },
+    /// Events, the oldest first.
+    Events {
+        /// The events.
+        events: &'a [TimedEvent],
+    },
+    /// The time, every three seconds.
+    Time {
+        /// Seconds since 1970, by this computer's clock.
+        at_s: u64,
+    },
+    /// The state of the recording.
+    Recording {
+        /// The file; `None` if nothing is recorded.
+        file: Option<&'a str>,
+        /// The messages in it.
+        messages: u64,
+        /// Their bytes.
+        bytes: u64,
+        /// The messages that were dropped.
+        dropped: u64,
+        /// Why the disk takes nothing at the moment.
+        problem: Option<&'a str>,
+    },
+    /// The number of values that this page has not received because it was too slow.
+    Dropped {
+        /// The number since the page was opened.
+        count: u64,
+    },
+    /// The answer to a command.
+    Answer {
+        /// The number of the command.
+        id: u32,
+        /// The result, if there was no error.
+        value: Option<Value>,
+        /// The error, with advice.
+        error: Option<&'a str>,
+    },
+}
+
+/// A topic, as the router of its robot has counted it.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct TopicRow<'a> {
+    /// The robot.
+    pub robot: &'a str,
+    /// The topic.
+    pub topic: &'a str,
+    /// The encoding of the last message.
+    pub encoding: &'a str,
+    /// Messages per second.
+    pub hz: f64,
+    /// Payload bytes per second.
+    pub bytes_per_s: u64,
+    /// The size of the last payload in bytes.
+    pub last_bytes: u64,
+    /// Messages that did not reach the robot's own router.
+    pub lost: u64,
+}
+
+/// A connection, and what the page shows of its lanes.
+#[derive(Clone, Debug, Serialize)]
+pub struct ShownConnection {
+    /// The connection, as the registry reports it.
+    #[serde(flatten)]
+    pub connection: Connection,
+    /// How long an urgent message takes until the peer has acknowledged it, in milliseconds, if it was measured.
+    pub urgent_delay_ms: Option<f64>,
+}
+
+impl From<Connection> for ShownConnection {
+    fn from(connection: Connection) -> Self {
+        Self {
+            urgent_delay_ms: connection.urgent_delay_ms(),
+            connection,
+        }
+    }
+}
+
+/// A robot of the fleet, as the page shows it.
+#[derive(Clone, Debug, Serialize)]
+pub struct RobotState {
+    /// Its name.
+    pub name: String,
+    /// Whether it can be reached.
+    pub reachable: bool,
+    /// The connections of its router; `None` until it has answered, and if it has no registry.
+    pub connections: Option<Vec<ShownConnection>>,
+    /// The version of its router.
+    pub version: Option<String>,
+    /// When its router was started, in seconds since 1970 by this computer's clock.
+    pub started_s: Option<u64>,
+    /// The problems, with advice.
+    pub problems: Vec<String>,
+}
+
+/// An event with its time.
+#[derive(Clone, Debug, Serialize)]
+pub struct TimedEvent {
+    /// Milliseconds since 1970, by this computer's clock.
+    pub at_ms: u64,
+    /// The robot that reports it.
+    pub of: String,
+    /// A kind of [`EventReport`], or `error`.
+    pub kind: String,
+    /// The other robot.
+    pub robot: Option<String>,
+    /// The method of the link.
+    pub method: Option<String>,
+    /// The text of an error, or the path and the reason of a switch.
+    pub detail: Option<String>,
+}
+
+impl TimedEvent {
+    /// Returns an event that `of` has reported.
+    pub fn new(at_ms: u64, of: &str, event: &EventReport<'_>) -> Self {
+        let owned = |text: Option<&str>| text.map(str::to_owned);
+        let switch = event.path.zip(event.reason);
+        Self {
+            at_ms,
+            of: of.to_owned(),
+            kind: event.kind.to_owned(),
+            robot: owned(event.robot),
+            method: owned(event.method),
+            detail: switch.map(|(path, reason)| format!("{path} ({reason})")),
+        }
+    }
+}
+
+/// The description of a value.
+#[derive(Clone, Debug, Default, Serialize)]
+pub struct DataHeader<'a> {
+    /// The number of the `Watch`.
+    pub id: u32,
+    /// `json`, `picture`, or `video`.
+    pub form: &'a str,
+    /// When it arrived, in milliseconds since 1970 by this computer's clock.
+    pub at_ms: f64,
+    /// When it was sent, by the sender's clock.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sent_ms: Option<u64>,
+    /// The age of a stream's frame on arrival.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub age_ms: Option<u64>,
+    /// The number of the frame of a video.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub number: Option<u32>,
+    /// Whether it is a key frame of a video.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub key: bool,
+    /// The size of the message in bytes.
+    pub bytes: usize,
+    /// The encoding of the message.
+    pub encoding: &'a str,
+    /// Messages that were lost before this one, or frames that were skipped.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub missed: u32,
+    /// Whether the message was sent as urgent.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub urgent: bool,
+    /// Whether the message repeats one of a recording.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub replayed: bool,
+    /// The method by which it arrived.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub method: Option<&'a str>,
+    /// Why the value is not shown.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub problem: Option<&'a str>,
+}
+
+#[expect(
+    clippy::trivially_copy_pass_by_ref,
+    reason = "serde passes a reference"
+)]
+fn is_zero(number: &u32) -> bool {
+    *number == 0
+}
+
+/// Returns the message that contains a state.
+pub fn state(state: &State<'_>) -> Bytes {
+    let mut message = vec![STATE];
+    // These types can be written.
+    let written = serde_json::to_writer(&mut message, state);
+    debug_assert!(written.is_ok());
+    message.into()
+}
+
+/// Returns the message that contains a value.
+pub fn data(header: &DataHeader<'_>, value: &[u8]) -> Bytes {
+    let header = serde_json::to_vec(header).unwrap_or_default();
+    let mut message = Vec::with_capacity(5 + header.len() + value.len());
+    message.push(DATA);
+    let length = u32::try_from(header.len()).unwrap_or_default();
+    message.extend_from_slice(&length.to_le_bytes());
+    message.extend_from_slice(&header);
+    message.extend_from_slice(value);
+    message.into()
+}

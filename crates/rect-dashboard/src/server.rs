@@ -1,0 +1,327 @@
+//! Serves the page over HTTP, with or without TLS.
+use std::{
+    fs,
+    net::IpAddr,
+    path::Path,
+    sync::Arc,
+    time::{Duration, Instant},
+};
+
+use axum::{
+    extract::{Extension, Form, Path as UrlPath, Request, State, WebSocketUpgrade},
+    http::{header, HeaderMap, Method, StatusCode},
+    middleware::{from_fn_with_state, Next},
+    response::{Html, IntoResponse, Redirect, Response},
+    routing::{get, post},
+    Router,
+};
+use hyper::server::conn::http1;
+use hyper_util::{
+    rt::{TokioIo, TokioTimer},
+    service::TowerToHyperService,
+};
+use rust_embed::Embed;
+use rustls::{
+    pki_types::{pem::PemObject, CertificateDer, PrivateKeyDer},
+    ServerConfig,
+};
+use serde::Deserialize;
+use tokio::{
+    io::{AsyncRead, AsyncWrite},
+    net::TcpListener,
+    sync::Semaphore,
+    time::{sleep, timeout},
+};
+use tokio_rustls::TlsAcceptor;
+
+use crate::{
+    guard::Guard,
+    login::{Logins, Refused, COOKIE, LASTS},
+    protocol::MAX_COMMAND,
+    socket, App,
+};
+
+/// The largest number of connections.
+const MAX_CONNECTIONS: usize = 64;
+/// How long a client may take for a handshake, and for the header of a request.
+const HEADER_WITHIN: Duration = Duration::from_secs(10);
+/// The largest form, in bytes.
+const MAX_FORM: usize = 4096;
+/// The place of a message in the login page.
+const MESSAGE: &str = "<!-- message -->";
+
+/// The files of the page.
+#[derive(Embed)]
+#[folder = "page"]
+struct Files;
+
+/// The address of a client.
+#[derive(Clone, Copy)]
+struct Client(IpAddr);
+
+/// The protection of the page.
+pub struct Protection {
+    /// Rejects requests of other sites.
+    pub guard: Guard,
+    /// The logins; `None` if there is none.
+    pub logins: Option<Logins>,
+    /// The encryption, if there is one.
+    pub tls: Option<TlsAcceptor>,
+}
+
+struct Served {
+    app: Arc<App>,
+    protection: Protection,
+}
+
+type Shared = State<Arc<Served>>;
+
+/// Serves the page until the process ends.
+pub async fn serve(listener: TcpListener, app: Arc<App>, protection: Protection) {
+    let tls = protection.tls.clone();
+    let served = Arc::new(Served { app, protection });
+    let router = Router::new()
+        .route("/", get(page))
+        .route("/assets/{file}", get(asset))
+        .route("/socket", get(open_socket))
+        .route("/login", post(log_in))
+        .route("/logout", post(log_out))
+        .layer(axum::extract::DefaultBodyLimit::max(MAX_FORM))
+        .layer(from_fn_with_state(served.clone(), protect))
+        .with_state(served);
+    let permits = Arc::new(Semaphore::new(MAX_CONNECTIONS));
+    while let Ok(permit) = permits.clone().acquire_owned().await {
+        let (stream, client) = match listener.accept().await {
+            Ok(accepted) => accepted,
+            Err(error) => {
+                // Such as too many open files.
+                tracing::warn!("cannot accept a browser: {error}");
+                sleep(Duration::from_millis(100)).await;
+                continue;
+            }
+        };
+        let router = router.clone().layer(Extension(Client(client.ip())));
+        let tls = tls.clone();
+        tokio::spawn(async move {
+            match tls {
+                None => talk(stream, router).await,
+                Some(tls) => match timeout(HEADER_WITHIN, tls.accept(stream)).await {
+                    Ok(Ok(stream)) => talk(stream, router).await,
+                    Ok(Err(error)) => tracing::debug!("no TLS with {client}: {error}"),
+                    Err(_) => tracing::debug!("no TLS with {client} in time"),
+                },
+            }
+            drop(permit);
+        });
+    }
+}
+
+async fn talk(stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, router: Router) {
+    let served = http1::Builder::new()
+        .timer(TokioTimer::new())
+        .header_read_timeout(HEADER_WITHIN)
+        .serve_connection(TokioIo::new(stream), TowerToHyperService::new(router))
+        .with_upgrades();
+    if let Err(error) = served.await {
+        tracing::debug!("a browser's connection has ended: {error}");
+    }
+}
+
+/// Reads a certificate and its key.
+///
+/// # Errors
+/// Fails if one of them cannot be read, or they do not fit.
+pub fn tls(certificate: &Path, key: &Path) -> Result<TlsAcceptor, String> {
+    let named = |file: &Path, problem: String| format!("{}: {problem}", file.display());
+    let text = fs::read(certificate).map_err(|error| named(certificate, error.to_string()))?;
+    let chain: Result<Vec<_>, _> = CertificateDer::pem_slice_iter(&text).collect();
+    let chain = chain.map_err(|error| named(certificate, error.to_string()))?;
+    let key_text = fs::read(key).map_err(|error| named(key, error.to_string()))?;
+    let private = PrivateKeyDer::from_pem_slice(&key_text);
+    let private = private.map_err(|error| named(key, error.to_string()))?;
+    let provider = Arc::new(rustls::crypto::ring::default_provider());
+    let config = ServerConfig::builder_with_provider(provider)
+        .with_safe_default_protocol_versions()
+        .and_then(|config| {
+            config
+                .with_no_client_auth()
+                .with_single_cert(chain, private)
+        });
+    let config = config.map_err(|error| named(certificate, error.to_string()))?;
+    Ok(TlsAcceptor::from(Arc::new(config)))
+}
+
+/// Rejects requests of other sites, and adds the headers that restrict the page.
+async fn protect(State(served): Shared, request: Request, next: Next) -> Response {
+    let guard = &served.protection.guard;
+    let headers = request.headers();
+    let changes = request.method() != Method::GET || request.uri().path() == "/socket";
+    let mut response = if !guard.accepts_host(headers) {
+        let text = "This name is not one of the dashboard: open it by its address, or start it with --name <host>";
+        (StatusCode::MISDIRECTED_REQUEST, text).into_response()
+    } else if changes && !guard.accepts_origin(headers) {
+        (
+            StatusCode::FORBIDDEN,
+            "Only the dashboard's own page may do this",
+        )
+            .into_response()
+    } else {
+        next.run(request).await
+    };
+    response.headers_mut().extend(guard.headers());
+    response
+}
+
+impl Served {
+    fn is_logged_in(&self, headers: &HeaderMap) -> bool {
+        let Some(logins) = &self.protection.logins else {
+            return true;
+        };
+        token(headers).is_some_and(|token| logins.is_logged_in(token, Instant::now()))
+    }
+}
+
+/// Returns the token of the browser's session.
+fn token(headers: &HeaderMap) -> Option<&str> {
+    let cookies = headers.get_all(header::COOKIE).into_iter();
+    let mut cookies = cookies
+        .filter_map(|cookie| cookie.to_str().ok())
+        .flat_map(|text| text.split(';'));
+    cookies.find_map(|cookie| cookie.trim().strip_prefix(COOKIE)?.strip_prefix('='))
+}
+
+async fn page(State(served): Shared, headers: HeaderMap) -> Response {
+    match served.is_logged_in(&headers) {
+        true => file("index.html", &headers),
+        false => login_page(StatusCode::OK, ""),
+    }
+}
+
+fn login_page(status: StatusCode, message: &str) -> Response {
+    let page = Files::get("login.html")
+        .map(|file| file.data)
+        .unwrap_or_default();
+    let page = String::from_utf8_lossy(&page).replace(MESSAGE, message);
+    (status, [(header::CACHE_CONTROL, "no-store")], Html(page)).into_response()
+}
+
+async fn asset(UrlPath(name): UrlPath<String>, headers: HeaderMap) -> Response {
+    file(&name, &headers)
+}
+
+/// Returns a file of the page, unless the browser has it already.
+fn file(name: &str, headers: &HeaderMap) -> Response {
+    let Some(file) = Files::get(name) else {
+        return StatusCode::NOT_FOUND.into_response();
+    };
+    let hash = file.metadata.sha256_hash();
+    let hash: String = hash
+        .iter()
+        .take(8)
+        .map(|byte| format!("{byte:02x}"))
+        .collect();
+    let tag = format!("\"{hash}\"");
+    let known = headers.get(header::IF_NONE_MATCH);
+    if known.is_some_and(|known| known.as_bytes() == tag.as_bytes()) {
+        return StatusCode::NOT_MODIFIED.into_response();
+    }
+    let kind = match name.rsplit_once('.') {
+        Some((_, "html")) => "text/html; charset=utf-8",
+        Some((_, "css")) => "text/css; charset=utf-8",
+        Some((_, "js")) => "text/javascript; charset=utf-8",
+        Some((_, "svg")) => "image/svg+xml",
+        _ => "text/plain; charset=utf-8",
+    };
+    let headers = [
+        (header::CONTENT_TYPE, kind.to_owned()),
+        (header::ETAG, tag),
+        // Asks each time, which takes a few bytes, so that a new version is seen at once.
+        (header::CACHE_CONTROL, "no-cache".to_owned()),
+    ];
+    (headers, file.data.into_owned()).into_response()
+}
+
+#[derive(Deserialize)]
+struct LoginForm {
+    user: String,
+    password: String,
+}
+
+async fn log_in(
+    State(served): Shared,
+    Extension(Client(from)): Extension<Client>,
+    Form(form): Form<LoginForm>,
+) -> Response {
+    let Some(logins) = &served.protection.logins else {
+        return Redirect::to("/").into_response();
+    };
+    match logins.log_in(from, &form.user, &form.password, Instant::now()) {
+        Ok(token) => with_cookie(&served, &token, LASTS),
+        Err(Refused::Wrong) => login_page(
+            StatusCode::UNAUTHORIZED,
+            "The user or the password is wrong. They are in the team's login file, a line user:password.",
+        ),
+        Err(Refused::TooMany) => login_page(
+            StatusCode::TOO_MANY_REQUESTS,
+            "There were too many wrong logins. Wait a minute, and try again.",
+        ),
+    }
+}
+
+async fn log_out(State(served): Shared, headers: HeaderMap) -> Response {
+    if let (Some(logins), Some(token)) = (&served.protection.logins, token(&headers)) {
+        logins.log_out(token);
+    }
+    with_cookie(&served, "", Duration::ZERO)
+}
+
+fn with_cookie(served: &Served, token: &str, lasts: Duration) -> Response {
+    let secure = if served.protection.tls.is_some() {
+        "; Secure"
+    } else {
+        ""
+    };
+    let lasts = lasts.as_secs();
+    let cookie =
+        format!("{COOKIE}={token}; Path=/; Max-Age={lasts}; HttpOnly; SameSite=Strict{secure}");
+    ([(header::SET_COOKIE, cookie)], Redirect::to("/")).into_response()
+}
+
+async fn open_socket(
+    State(served): Shared,
+    headers: HeaderMap,
+    upgrade: WebSocketUpgrade,
+) -> Response {
+    if !served.is_logged_in(&headers) {
+        return StatusCode::UNAUTHORIZED.into_response();
+    }
+    upgrade
+        .max_message_size(MAX_COMMAND)
+        .max_frame_size(MAX_COMMAND)
+        .on_upgrade(async move |stream| {
+            let may_stay = || served.is_logged_in(&headers);
+            let has_login = served.protection.logins.is_some();
+            socket::run(stream, &served.app, has_login, may_stay).await;
+        })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn vendored_files_are_unchanged() {
+        let list = Files::get("VENDORED.txt").expect("the list").data;
+        let list = String::from_utf8_lossy(&list);
+        for name in ["uPlot.iife.min.js", "uPlot.min.css"] {
+            let file = Files::get(name).expect(name);
+            let hash = file.metadata.sha256_hash();
+            let hash: String = hash.iter().map(|byte| format!("{byte:02x}")).collect();
+            let listed = list.lines().find(|line| line.contains(name));
+            assert!(
+                listed.is_some_and(|line| line.ends_with(&hash)),
+                "{name}: {hash}"
+            );
+        }
+    }
+}

@@ -1,0 +1,92 @@
+//! Defines [`Entry`], one recorded message.
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use rect_core::{
+    message::{encoding::Encoding, payload::Payload, urgency::Urgency, Message},
+    name::{key::OWN, topic::Topic, Name},
+};
+
+/// A recorded message.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Entry {
+    /// The robot and the topic: `wombat-1/arm/angle`. A file of another program may have topics without a robot.
+    pub topic: String,
+    /// The one robot that the message was sent to. `None`: it was published to all.
+    pub recipient: Option<String>,
+    /// The bytes and their encoding, as the program received them.
+    pub payload: Payload,
+    /// The urgency with which the message was sent.
+    pub urgency: Urgency,
+    /// The number of the message at its publisher. 0 if the publisher does not count.
+    pub sequence: u32,
+    /// The number that identifies the publisher. `None`: it does not use RECT.
+    pub publisher: Option<u16>,
+    /// When it was recorded, since 1970 by the recorder's clock. The clock is read once, at the start of the recording, so
+    /// that it cannot jump.
+    pub logged: Duration,
+    /// When it was sent, since 1970 by the sender's clock; [`logged`](Self::logged) if that is not known.
+    pub sent: Duration,
+}
+
+impl Entry {
+    /// Returns the entry of a message that arrived at a time.
+    pub fn of(message: Message, logged: Duration) -> Self {
+        Self {
+            topic: format!("{}/{}", message.sender, message.topic.as_str()),
+            recipient: message.recipient.map(|robot| robot.as_str().to_owned()),
+            payload: message.payload,
+            urgency: message.urgency,
+            sequence: message.sequence.unwrap_or(0),
+            publisher: message.publisher,
+            logged,
+            sent: message.sent_ms.map_or(logged, Duration::from_millis),
+        }
+    }
+
+    /// Returns the entry of a report of a robot about itself, a value in JSON. No message has such a topic.
+    pub fn of_report(robot: &Name, subject: &str, json: Vec<u8>, logged: Duration) -> Self {
+        Self {
+            topic: format!("{robot}/{OWN}/{subject}"),
+            recipient: None,
+            payload: Payload::new(json, Encoding::JSON),
+            urgency: Urgency::Normal,
+            sequence: 0,
+            publisher: None,
+            logged,
+            sent: logged,
+        }
+    }
+
+    /// Returns whether the entry is a report of a robot about itself, which no robot has published.
+    pub fn is_report(&self) -> bool {
+        let topic = self.topic.split_once('/').map(|(_, topic)| topic);
+        topic.is_some_and(|topic| topic.split('/').next() == Some(OWN))
+    }
+
+    /// Returns the robot that sent the message, and the topic. `None` if the file's topic is not that of a robot.
+    pub fn address(&self) -> Option<(Name, Topic)> {
+        address(&self.topic)
+    }
+
+    /// Returns about how many bytes the entry takes in memory.
+    pub fn bytes(&self) -> usize {
+        self.payload.bytes.len() + self.topic.len() + size_of::<Self>()
+    }
+
+    /// Returns whether the payload is JSON.
+    pub fn is_json(&self) -> bool {
+        self.payload.encoding.media_type() == Encoding::JSON.as_str()
+    }
+}
+
+/// Returns the robot and the topic in the topic of a file; `None` if there is no robot in it.
+pub fn address(topic: &str) -> Option<(Name, Topic)> {
+    let (robot, topic) = topic.trim_start_matches('/').split_once('/')?;
+    Some((Name::new(robot).ok()?, Topic::new(topic).ok()?))
+}
+
+/// Returns the time since 1970, by this computer's clock.
+pub fn since_1970() -> Duration {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH);
+    since.unwrap_or_default()
+}

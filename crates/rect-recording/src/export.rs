@@ -1,0 +1,184 @@
+//! Converts a recording for other programs: lines of JSON, or a table as CSV.
+use std::io::{self, Write};
+
+use serde_json::{json, Value};
+
+use crate::{entry::Entry, view::json_value};
+
+/// The form of an export.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// An object for each message, on a line.
+    JsonLines,
+    /// A row for each number: time, topic, field and value.
+    Csv,
+}
+
+/// The first line of a CSV file.
+const HEADER: &str = "time_s,topic,sequence,field,value";
+/// How deeply nested values become rows of their own.
+const MAX_DEPTH: usize = 8;
+
+/// Writes entries in a format.
+pub struct Exporter<W> {
+    format: Format,
+    to: W,
+}
+
+impl<W: Write> Exporter<W> {
+    /// Begins an export.
+    ///
+    /// # Errors
+    /// Fails if `to` does.
+    pub fn new(format: Format, mut to: W) -> io::Result<Self> {
+        if format == Format::Csv {
+            writeln!(to, "{HEADER}")?;
+        }
+        Ok(Self { format, to })
+    }
+
+    /// Adds an entry.
+    ///
+    /// # Errors
+    /// Fails if the output does.
+    pub fn add(&mut self, entry: &Entry) -> io::Result<()> {
+        match self.format {
+            Format::JsonLines => writeln!(self.to, "{}", as_json(entry)),
+            Format::Csv => self.add_rows(entry, "", &value(entry), MAX_DEPTH),
+        }
+    }
+
+    fn add_rows(
+        &mut self,
+        entry: &Entry,
+        field: &str,
+        value: &Value,
+        depth: usize,
+    ) -> io::Result<()> {
+        let below = |name: &str| match field {
+            "" => name.to_owned(),
+            _ => format!("{field}.{name}"),
+        };
+        match value {
+            Value::Object(fields) if depth > 0 => fields
+                .iter()
+                .try_for_each(|(name, value)| self.add_rows(entry, &below(name), value, depth - 1)),
+            Value::Array(items) if depth > 0 => {
+                items.iter().enumerate().try_for_each(|(n, value)| {
+                    self.add_rows(entry, &below(&n.to_string()), value, depth - 1)
+                })
+            }
+            _ => {
+                let value = match value {
+                    Value::String(text) => text.clone(),
+                    value => value.to_string(),
+                };
+                writeln!(
+                    self.to,
+                    "{:.6},{},{},{},{}",
+                    entry.logged.as_secs_f64(),
+                    cell(&entry.topic),
+                    entry.sequence,
+                    cell(field),
+                    cell(&value)
+                )
+            }
+        }
+    }
+
+    /// Ends the export.
+    ///
+    /// # Errors
+    /// Fails if the output does.
+    pub fn finish(mut self) -> io::Result<()> {
+        self.to.flush()
+    }
+}
+
+fn as_json(entry: &Entry) -> Value {
+    json!({
+        "time_s": entry.logged.as_secs_f64(),
+        "sent_s": entry.sent.as_secs_f64(),
+        "topic": entry.topic,
+        "recipient": entry.recipient,
+        "sequence": entry.sequence,
+        "urgency": entry.urgency,
+        "encoding": entry.payload.encoding.as_str(),
+        "bytes": entry.payload.bytes.len(),
+        "value": value(entry),
+    })
+}
+
+/// Returns the value of a message as JSON. Bytes that are neither a value nor text become null.
+fn value(entry: &Entry) -> Value {
+    json_value(&entry.payload).unwrap_or(Value::Null)
+}
+
+/// Returns a cell of a CSV file (RFC 4180). A text that a spreadsheet would take for a formula is marked as text.
+fn cell(text: &str) -> String {
+    let is_formula = text.starts_with(['=', '+', '-', '@']) && text.parse::<f64>().is_err();
+    let text = match is_formula {
+        true => format!("'{text}"),
+        false => text.to_owned(),
+    };
+    if text.contains([',', '"', '\n', '\r']) {
+        return format!("\"{}\"", text.replace('"', "\"\""));
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use super::*;
+    use rect_core::message::{encoding::Encoding, payload::Payload, urgency::Urgency};
+
+    fn exported(format: Format, payload: Payload) -> String {
+        let mut to = Vec::new();
+        let mut exporter = Exporter::new(format, &mut to).expect("written");
+        let entry = Entry {
+            topic: "a/x".to_owned(),
+            recipient: None,
+            payload,
+            urgency: Urgency::Normal,
+            sequence: 7,
+            publisher: Some(1),
+            logged: Duration::from_millis(1500),
+            sent: Duration::from_millis(1400),
+        };
+        exporter.add(&entry).expect("written");
+        exporter.finish().expect("written");
+        String::from_utf8(to).expect("text")
+    }
+
+    #[test]
+    fn csv_has_a_row_for_each_value() {
+        let json = r#"{"volt": 11.9, "cells": [1, -2], "note": "a,\"b\"", "cmd": "=1+1"}"#;
+        let csv = exported(Format::Csv, Payload::new(json, Encoding::JSON));
+        let mut rows: Vec<_> = csv.lines().skip(1).collect();
+        rows.sort_unstable();
+        let expected = [
+            "1.500000,a/x,7,cells.0,1",
+            "1.500000,a/x,7,cells.1,-2",
+            "1.500000,a/x,7,cmd,'=1+1",
+            "1.500000,a/x,7,note,\"a,\"\"b\"\"\"",
+            "1.500000,a/x,7,volt,11.9",
+        ];
+        assert_eq!(rows, expected);
+        assert!(csv.starts_with(HEADER));
+    }
+
+    #[test]
+    fn json_lines_have_the_value() {
+        let line = exported(Format::JsonLines, Payload::new("hello", Encoding::TEXT));
+        let read: Value = serde_json::from_str(&line).expect("JSON");
+        assert_eq!(
+            (&read["value"], &read["topic"]),
+            (&json!("hello"), &json!("a/x"))
+        );
+        let bytes = exported(Format::JsonLines, Payload::new(vec![0xff], Encoding::BYTES));
+        let read: Value = serde_json::from_str(&bytes).expect("JSON");
+        assert_eq!((&read["value"], &read["bytes"]), (&Value::Null, &json!(1)));
+    }
+}

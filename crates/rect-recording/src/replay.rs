@@ -1,0 +1,262 @@
+//! Decides what of a recording is replayed, and when.
+use std::{collections::BTreeMap, time::Duration};
+
+use rect_core::name::{
+    topic::{Pattern, Topic},
+    Name,
+};
+
+use crate::{
+    entry::{address, Entry},
+    remap::{remapped, Remap},
+};
+
+/// The part of a recording that is replayed, exported or copied.
+#[derive(Clone, Debug, Default)]
+pub struct Selection {
+    /// The messages, as `<robot>/<topic>` with wildcards. Empty: all.
+    pub patterns: Vec<Pattern>,
+    /// Where to begin, after the start of the recording.
+    pub begin: Duration,
+    /// Where to end, after the start of the recording. `None`: at its end.
+    pub end: Option<Duration>,
+}
+
+impl Selection {
+    /// Returns whether a message is among those that the patterns select.
+    pub fn matches(&self, entry: &Entry) -> bool {
+        let topic = entry.topic.trim_start_matches('/');
+        self.patterns.is_empty() || self.patterns.iter().any(|pattern| pattern.matches(topic))
+    }
+}
+
+impl Selection {
+    /// Returns the selected messages of a recording.
+    pub fn of<E>(
+        self,
+        entries: impl Iterator<Item = Result<Entry, E>>,
+    ) -> impl Iterator<Item = Result<Entry, E>> {
+        let mut started = None;
+        let (begin, end) = (self.begin, self.end);
+        let timed = entries.map(move |entry| {
+            entry.map(|entry: Entry| {
+                let started = *started.get_or_insert(entry.logged);
+                (entry.logged.saturating_sub(started), entry)
+            })
+        });
+        timed
+            .take_while(move |entry| !matches!(entry, Ok((after, _)) if end.is_some_and(|end| *after > end)))
+            .filter(move |entry| !matches!(entry, Ok((after, entry)) if *after < begin || !self.matches(entry)))
+            .map(|entry| entry.map(|(_, entry)| entry))
+    }
+}
+
+/// Returns the messages of several recordings in the order of their times.
+pub fn by_time<E, I: Iterator<Item = Result<Entry, E>>>(
+    recordings: Vec<I>,
+) -> impl Iterator<Item = Result<Entry, E>> {
+    let mut recordings: Vec<_> = recordings.into_iter().map(Iterator::peekable).collect();
+    let count = recordings.len();
+    std::iter::from_fn(move || {
+        // An error is reported at once, and a recording that has ended is last.
+        let mut time = |n: &usize| match recordings.get_mut(*n)?.peek()? {
+            Ok(entry) => Some(entry.logged),
+            Err(_) => Some(Duration::ZERO),
+        };
+        let earliest = (0..count).min_by_key(|n| time(n).unwrap_or(Duration::MAX))?;
+        recordings.get_mut(earliest)?.next()
+    })
+}
+
+/// A message to publish.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Due {
+    /// When, after the beginning of the replay, at the rate of the recording.
+    pub at: Duration,
+    /// The robot that publishes it.
+    pub robot: Name,
+    /// The topic.
+    pub topic: Topic,
+    /// The message.
+    pub entry: Entry,
+}
+
+/// Turns the messages of a recording into those to publish, in the same order.
+pub struct Replay<I> {
+    entries: I,
+    selection: Selection,
+    remaps: Vec<Remap>,
+    /// The robot that publishes everything. `None`: those of the recording.
+    robot: Option<Name>,
+    started: Option<Duration>,
+    /// The last message of each topic before the beginning, which a program that joins late would know.
+    earlier: BTreeMap<String, Entry>,
+    /// The first message after the beginning, while the earlier ones are returned.
+    held: Option<Entry>,
+    skipped: u64,
+}
+
+impl<E, I: Iterator<Item = Result<Entry, E>>> Replay<I> {
+    /// Replays `entries` under the names that `remaps` gives them, or as messages of `robot`.
+    pub fn new(entries: I, selection: Selection, remaps: Vec<Remap>, robot: Option<Name>) -> Self {
+        Self {
+            entries,
+            selection,
+            remaps,
+            robot,
+            started: None,
+            earlier: BTreeMap::new(),
+            held: None,
+            skipped: 0,
+        }
+    }
+
+    /// Returns how many messages had a topic that is not that of a robot.
+    pub fn skipped(&self) -> u64 {
+        self.skipped
+    }
+
+    fn next_entry(&mut self) -> Result<Option<Entry>, E> {
+        loop {
+            if self.held.is_some() {
+                return Ok(match self.earlier.pop_first() {
+                    Some((_, entry)) => Some(entry),
+                    None => self.held.take(),
+                });
+            }
+            let Some(entry) = self.entries.next().transpose()? else {
+                // The recording ended before the beginning.
+                return Ok(None);
+            };
+            let started = *self.started.get_or_insert(entry.logged);
+            if entry.is_report() || !self.selection.matches(&entry) {
+                continue;
+            }
+            let after = entry.logged.saturating_sub(started);
+            if after < self.selection.begin {
+                self.earlier.insert(entry.topic.clone(), entry);
+            } else if self.selection.end.is_some_and(|end| after > end) {
+                return Ok(None);
+            } else {
+                self.held = Some(entry);
+            }
+        }
+    }
+
+    fn due(&self, entry: Entry) -> Option<Due> {
+        let started = self.started.unwrap_or_default() + self.selection.begin;
+        let at = entry.logged.saturating_sub(started);
+        let name = remapped(&self.remaps, &entry.topic);
+        let (robot, topic) = match (&self.robot, address(&name)) {
+            (None, address) => address?,
+            (Some(robot), Some((_, topic))) => (robot.clone(), topic),
+            (Some(robot), None) => (robot.clone(), Topic::new(&name).ok()?),
+        };
+        Some(Due {
+            at,
+            robot,
+            topic,
+            entry,
+        })
+    }
+}
+
+impl<E, I: Iterator<Item = Result<Entry, E>>> Iterator for Replay<I> {
+    type Item = Result<Due, E>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        loop {
+            let entry = match self.next_entry() {
+                Ok(entry) => entry?,
+                Err(error) => return Some(Err(error)),
+            };
+            match self.due(entry) {
+                Some(due) => return Some(Ok(due)),
+                None => self.skipped += 1,
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use rect_core::message::{encoding::Encoding, payload::Payload, urgency::Urgency};
+
+    fn entry(topic: &str, ms: u64) -> Result<Entry, ()> {
+        Ok(Entry {
+            topic: topic.to_owned(),
+            recipient: None,
+            payload: Payload::new(ms.to_string(), Encoding::TEXT),
+            urgency: Urgency::Normal,
+            sequence: 0,
+            publisher: None,
+            logged: Duration::from_millis(1_000_000 + ms),
+            sent: Duration::ZERO,
+        })
+    }
+
+    fn replayed(
+        selection: Selection,
+        remap: &str,
+        robot: Option<&str>,
+    ) -> Vec<(String, u64, String)> {
+        let recorded = [
+            entry("a/x", 0),
+            entry("a/y", 100),
+            entry("b/x", 200),
+            entry("no-robot", 250),
+            entry("a/x", 300),
+            entry("a/x", 400),
+        ];
+        let robot = robot.map(|name| Name::new(name).expect("a name"));
+        let remaps = remap.parse().into_iter().collect();
+        let replay = Replay::new(recorded.into_iter(), selection, remaps, robot);
+        replay
+            .map(|due| due.expect("no error"))
+            .map(|due| {
+                let topic = format!("{}/{}", due.robot, due.topic.as_str());
+                let text = due.entry.payload.text().expect("text").to_owned();
+                (topic, due.at.as_millis() as u64, text)
+            })
+            .collect()
+    }
+
+    fn expected(rows: &[(&str, u64, &str)]) -> Vec<(String, u64, String)> {
+        let owned = |(topic, at, text): &(&str, u64, &str)| ((*topic).into(), *at, (*text).into());
+        rows.iter().map(owned).collect()
+    }
+
+    #[test]
+    fn messages_keep_their_distances_and_robots() {
+        let all = replayed(Selection::default(), "b=c", None);
+        let rows = [
+            ("a/x", 0, "0"),
+            ("a/y", 100, "100"),
+            ("c/x", 200, "200"),
+            ("a/x", 300, "300"),
+            ("a/x", 400, "400"),
+        ];
+        assert_eq!(all, expected(&rows));
+    }
+
+    #[test]
+    fn range_begins_with_the_last_value_of_each_topic() {
+        let ms = Duration::from_millis;
+        let selection = Selection {
+            patterns: vec![Pattern::new("a/*").expect("a pattern")],
+            begin: ms(250),
+            end: Some(ms(350)),
+        };
+        let rows = [("a/x", 0, "0"), ("a/y", 0, "100"), ("a/x", 50, "300")];
+        assert_eq!(replayed(selection, "", None), expected(&rows));
+    }
+
+    #[test]
+    fn another_robot_publishes_everything() {
+        let all = replayed(Selection::default(), "", Some("replay"));
+        let topics: Vec<_> = all.iter().map(|(topic, ..)| topic.as_str()).collect();
+        let x = "replay/x";
+        assert_eq!(topics, [x, "replay/y", x, "replay/no-robot", x, x]);
+    }
+}

@@ -1,0 +1,274 @@
+//! Tests the files of recordings: files that break off at any byte, and a disk that fails: `cargo test -p rect-recording`
+use std::{
+    collections::BTreeMap,
+    fs,
+    io::Cursor,
+    path::Path,
+    time::{Duration, Instant},
+};
+
+use rect_core::{
+    message::{encoding::Encoding, payload::Payload, urgency::Urgency, Message},
+    name::{topic::Topic, Name},
+};
+use rect_recording::{
+    file::OpenFile, segments, Entry, ReadError, Reader, Recorder, Settings, Split,
+};
+
+/// Timeout of one step of a test, long enough for a busy computer.
+const TIMEOUT: Duration = Duration::from_secs(30);
+
+fn entry(sequence: u32) -> Entry {
+    let topics = ["a/pose", "b/camera/front", "a/log"];
+    let encodings = [Encoding::JSON, Encoding::JPEG, Encoding::TEXT];
+    let kind = sequence as usize % topics.len();
+    let urgency = [Urgency::Normal, Urgency::Bulk, Urgency::Urgent][kind];
+    let logged = Duration::from_millis(1_795_000_000_000 + u64::from(sequence) * 20);
+    Entry {
+        topic: topics[kind].to_owned(),
+        recipient: (kind == 2).then(|| "c".to_owned()),
+        payload: Payload::new(format!("{{\"n\": {sequence}}}"), encodings[kind].clone()),
+        urgency,
+        sequence,
+        publisher: (kind == 0).then_some(7),
+        logged,
+        sent: logged - Duration::from_millis(3),
+    }
+}
+
+fn about() -> BTreeMap<String, String> {
+    BTreeMap::from([("robot".to_owned(), "a".to_owned())])
+}
+
+fn read(path: &Path) -> (Vec<Entry>, Option<ReadError>) {
+    let (mut entries, mut error) = (Vec::new(), None);
+    match Reader::open(path) {
+        Ok(reader) => reader.for_each(|read| match read {
+            Ok(entry) => entries.push(entry),
+            Err(failed) => error = Some(failed),
+        }),
+        Err(failed) => error = Some(failed),
+    }
+    (entries, error)
+}
+
+/// Writes a file whose chunks have ten messages each; returns its content.
+fn written(folder: &Path, count: u32) -> Vec<u8> {
+    let path = folder.join("whole.mcap");
+    let mut file = OpenFile::create(path.clone(), &about()).expect("created");
+    for sequence in 0..count {
+        file.add(&entry(sequence)).expect("written");
+        if sequence % 10 == 9 {
+            file.flush().expect("written");
+        }
+    }
+    file.finish().expect("on the disk");
+    fs::read(path).expect("readable")
+}
+
+#[test]
+fn file_contains_what_was_written() {
+    let folder = tempfile::tempdir().expect("a folder");
+    written(folder.path(), 100);
+    let (entries, error) = read(&folder.path().join("whole.mcap"));
+    assert!(error.is_none(), "{error:?}");
+    assert_eq!(entries, (0..100).map(entry).collect::<Vec<_>>());
+}
+
+#[test]
+fn unfinished_file_is_read_up_to_its_last_chunk_wherever_it_breaks_off() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let bytes = written(folder.path(), 40);
+    let part = folder.path().join("000001.mcap.part");
+    let other = folder.path().join("cut.mcap");
+    let mut most = 0;
+    for length in 0..bytes.len() {
+        fs::write(&part, &bytes[..length]).expect("written");
+        let (entries, error) = read(&part);
+        assert!(error.is_none(), "{length}: {error:?}");
+        assert!(
+            entries.len() >= most,
+            "{length}: {} after {most}",
+            entries.len()
+        );
+        most = entries.len();
+        let expected: Vec<_> = (0..most as u32).map(entry).collect();
+        assert_eq!(entries, expected, "cut to {length} bytes");
+        fs::write(&other, &bytes[..length]).expect("written");
+        let (_, error) = read(&other);
+        assert!(
+            matches!(error, Some(ReadError::Damaged { .. })),
+            "a complete file that is cut to {length} bytes: {error:?}"
+        );
+    }
+    assert_eq!(most, 40);
+}
+
+#[test]
+fn damaged_file_is_reported() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let bytes = written(folder.path(), 40);
+    let path = folder.path().join("damaged.mcap");
+    let mut undetected = 0;
+    for position in 0..bytes.len() {
+        let mut damaged = bytes.clone();
+        damaged[position] ^= 0x10;
+        fs::write(&path, damaged).expect("written");
+        let (entries, error) = read(&path);
+        // Outside of the chunks, whose checksums are verified, a bit may change what nothing depends on.
+        undetected += usize::from(error.is_none());
+        for read in entries {
+            let original = entry(read.sequence);
+            assert_eq!(read.payload.bytes, original.payload.bytes, "{position}");
+        }
+    }
+    assert!(undetected < bytes.len(), "{undetected} of {}", bytes.len());
+}
+
+#[test]
+fn other_files_are_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let text = |error: Option<ReadError>| error.expect("refused").to_string();
+    assert!(text(read(folder.path()).1).contains("contains no recording"));
+    let path = folder.path().join("x.mcap");
+    assert!(text(read(&path).1).starts_with("cannot read"));
+    for content in [&b""[..], b"no recording", &[0x89; 100_000]] {
+        fs::write(&path, content).expect("written");
+        assert!(text(read(&path).1).contains("damaged after 0 messages"));
+    }
+}
+
+/// Found by fuzzing: a parser that believes the length of a string reserves 4 GB for it.
+#[test]
+fn file_that_promises_a_long_string_is_damaged() {
+    let magic = b"\x89MCAP0\r\n";
+    let channel = [
+        &[4, 12, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0][..],
+        &[0xff; 4],
+        &[0; 4],
+    ];
+    let metadata = [&[12, 8, 0, 0, 0, 0, 0, 0, 0][..], &[0; 4], &[0xff; 4]];
+    for record in [channel, metadata] {
+        let file = [&magic[..], &record.concat()].concat();
+        let mut reader = Reader::of("x.mcap".into(), Cursor::new(file));
+        assert!(matches!(
+            reader.next(),
+            Some(Err(ReadError::Damaged { .. }))
+        ));
+        assert!(reader.next().is_none());
+    }
+}
+
+fn message(number: u32, urgency: Urgency) -> Message {
+    let (sender, topic) = (Name::new("a"), Topic::new("x"));
+    let payload = Payload::new(number.to_string(), Encoding::TEXT);
+    Message {
+        urgency,
+        sequence: Some(number),
+        publisher: Some(7),
+        ..Message::new(sender.expect("a name"), topic.expect("a topic"), payload)
+    }
+}
+
+fn wait_until(what: &str, is_so: impl Fn() -> bool) {
+    let deadline = Instant::now() + TIMEOUT;
+    while !is_so() {
+        assert!(Instant::now() < deadline, "{what}");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+#[test]
+fn nothing_is_lost_while_the_disk_fails_for_a_while() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("match.mcap");
+    let recorder = Recorder::start(Settings {
+        path: path.clone(),
+        about: about(),
+        keep: None,
+        split: Split::default(),
+    })
+    .expect("started");
+    // Nothing can be created in a folder that does not exist.
+    let parts = segments::folder_of(&path);
+    fs::remove_dir(&parts).expect("removed");
+    for number in 0..500 {
+        recorder.on_message(message(number, Urgency::Normal));
+    }
+    wait_until("the problem is reported", || {
+        recorder.progress().problem.is_some()
+    });
+    assert_eq!(recorder.progress().written, 0);
+    fs::create_dir(&parts).expect("created");
+    wait_until("it is written again", || recorder.progress().written == 500);
+    assert_eq!(recorder.progress().problem, None);
+    let (files, progress) = recorder.finish().expect("one file");
+    assert_eq!((progress.written, progress.dropped), (500, 0));
+    assert_eq!(files, [path]);
+    let (entries, error) = read(&files[0]);
+    assert!(error.is_none(), "{error:?}");
+    let numbers: Vec<_> = entries.iter().map(|entry| entry.sequence).collect();
+    assert_eq!(numbers, (0..500).collect::<Vec<_>>());
+    assert!(!parts.exists(), "the parts are removed");
+}
+
+#[test]
+fn long_recording_is_split_into_files() {
+    let folder = tempfile::tempdir().expect("a folder");
+    // A name that is taken is skipped.
+    fs::write(folder.path().join("match-2.mcap"), "mine").expect("written");
+    let recorder = Recorder::start(Settings {
+        path: folder.path().join("match.mcap"),
+        about: about(),
+        keep: None,
+        split: Split {
+            bytes: Some(1000),
+            ..Split::default()
+        },
+    })
+    .expect("started");
+    // Two of them fill a segment, after which a part is complete.
+    let large = |number| Message {
+        payload: Payload::new(vec![7; segments::SEGMENT_BYTES / 2], Encoding::BYTES),
+        ..message(number, Urgency::Urgent)
+    };
+    for number in 0..6 {
+        recorder.on_message(large(number));
+        wait_until("it is written", || {
+            recorder.progress().written == u64::from(number) + 1
+        });
+    }
+    recorder.on_message(message(6, Urgency::Normal));
+    let (files, progress) = recorder.finish().expect("files");
+    assert_eq!((progress.written, progress.dropped), (7, 0));
+    let names = [
+        "match-1.mcap",
+        "match-3.mcap",
+        "match-4.mcap",
+        "match-5.mcap",
+    ];
+    let expected: Vec<_> = names.iter().map(|name| folder.path().join(name)).collect();
+    assert_eq!(files, expected);
+    let numbers = files.iter().flat_map(|file| read(file).0);
+    let numbers: Vec<_> = numbers.map(|entry| entry.sequence).collect();
+    assert_eq!(numbers, [0, 1, 2, 3, 4, 5, 6]);
+    let left = fs::read_dir(folder.path()).expect("readable").count();
+    assert_eq!(left, 5, "no folder remains");
+}
+
+#[test]
+fn two_recorders_of_one_file_are_refused() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let settings = Settings {
+        path: folder.path().join("match.mcap"),
+        about: about(),
+        keep: None,
+        split: Split::default(),
+    };
+    let _first = Recorder::start(settings.clone()).expect("started");
+    let second = Recorder::start(settings)
+        .err()
+        .expect("refused")
+        .to_string();
+    assert!(second.contains("another recorder writes it"), "{second}");
+}

@@ -1,0 +1,503 @@
+//! The blocking form of the API, for programs without `async`: every call blocks the calling thread until it is complete.
+//!
+//! A call panics if it would block a thread of an asynchronous runtime. Use [`crate::Robot`] there.
+//!
+//! ```no_run
+//! use std::time::Duration;
+//!
+//! let robot = rect::blocking::connect("wombat-1")?;
+//! robot.publish("arm/angle", rect::Json(12.5))?;
+//! for message in robot.subscribe("wombat-2/**")? {
+//!     println!("{}: {:?}", message.sender, message.payload);
+//! }
+//! let reply = robot.request("wombat-2", "battery", "", Duration::from_secs(1))?;
+//! # Ok::<(), rect::Error>(())
+//! ```
+mod publisher;
+#[cfg(feature = "recording")]
+mod recorder;
+mod runtime;
+mod stream;
+mod subscription;
+mod transfer;
+
+use std::{sync::Arc, time::Duration};
+
+#[cfg(feature = "recording")]
+pub use self::recorder::RobotRecorder;
+pub use self::{
+    publisher::Publisher, runtime::Runtime, stream::Frames, subscription::Subscription,
+    transfer::Transfers,
+};
+use crate::{
+    session, Connection, Counters, Error, Event, Message, Name, NamedConnection, Options, Pattern,
+    QueueOptions, Reply, Service, ToPayload, Topic, Urgency,
+};
+use rect_core::codec::{dictionary::Dictionary, Codec};
+
+/// A handle of a program's session, through which it communicates as one robot of the fleet; the blocking form of
+/// [`crate::Robot`].
+///
+/// Clones are cheap and share the session.
+#[derive(Clone, Debug)]
+pub struct Robot {
+    robot: session::Robot,
+    runtime: Arc<Runtime>,
+}
+
+/// Receives the messages that match a pattern; created by [`Robot::subscribe`].
+///
+/// The iterator blocks until the next message, and ends when the session is closed. Dropping it ends the subscription.
+#[derive(Debug)]
+pub struct Messages {
+    subscriber: session::Subscriber,
+    runtime: Arc<Runtime>,
+}
+
+/// Receives the replies to one request; created by [`Robot::request_all`].
+///
+/// The iterator blocks until the next reply, and ends when all services have replied. Dropping it cancels the request.
+#[derive(Debug)]
+pub struct Replies {
+    replies: session::Replies,
+    runtime: Arc<Runtime>,
+}
+
+/// Receives events of robots, links and the router; created by [`Robot::events`].
+///
+/// The iterator blocks until the next event, and ends when the session is closed.
+#[derive(Debug)]
+pub struct Events {
+    events: session::Events,
+    runtime: Arc<Runtime>,
+}
+
+/// Connects to the router of this computer as a program of `robot`, in the fleet `rect`.
+///
+/// ```no_run
+/// let robot = rect::blocking::connect("wombat-1")?;
+/// robot.publish("greeting", "hello")?;
+/// # Ok::<(), rect::Error>(())
+/// ```
+///
+/// # Errors
+/// Returns the same errors as [`crate::connect`].
+pub fn connect(robot: &str) -> Result<Robot, Error> {
+    Robot::connect(Options::new(robot)?)
+}
+
+impl Robot {
+    /// Opens a session with `options`.
+    ///
+    /// ```no_run
+    /// use rect::{blocking::Robot, Options};
+    ///
+    /// let robot = Robot::connect(Options::new("wombat-1")?.router("tcp/192.168.0.7:7447"))?;
+    /// # Ok::<(), rect::Error>(())
+    /// ```
+    ///
+    /// # Errors
+    /// Returns the same errors as [`Options::connect`].
+    pub fn connect(options: Options) -> Result<Self, Error> {
+        let runtime = Runtime::start().map_err(Error::thread)?;
+        let robot = runtime.wait(options.connect())?;
+        let runtime = Arc::new(runtime);
+        Ok(Self { robot, runtime })
+    }
+
+    /// Returns the asynchronous handle of the same session.
+    pub fn asynchronous(&self) -> &session::Robot {
+        &self.robot
+    }
+
+    /// Returns the name of this robot.
+    pub fn name(&self) -> &Name {
+        self.robot.name()
+    }
+
+    /// Returns a handle that publishes, sends, requests and streams with `urgency`.
+    #[must_use]
+    pub fn with_urgency(&self, urgency: Urgency) -> Self {
+        Self {
+            robot: self.robot.with_urgency(urgency),
+            runtime: self.runtime.clone(),
+        }
+    }
+
+    /// Returns a handle whose messages expire after that time; see [`crate::Robot::expires_after`].
+    #[must_use]
+    pub fn expires_after(&self, lifetime: Duration) -> Self {
+        Self {
+            robot: self.robot.expires_after(lifetime),
+            runtime: self.runtime.clone(),
+        }
+    }
+
+    /// Returns a handle that encodes the payloads of messages and requests with `codec`; see
+    /// [`crate::Robot::with_codec`].
+    #[must_use]
+    pub fn with_codec(&self, codec: Arc<dyn Codec>) -> Self {
+        Self {
+            robot: self.robot.with_codec(codec),
+            runtime: self.runtime.clone(),
+        }
+    }
+
+    /// Returns a handle that compresses the payloads of messages and requests with `dictionary`; see
+    /// [`crate::Robot::with_dictionary`].
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::with_dictionary`].
+    pub fn with_dictionary(&self, dictionary: Arc<Dictionary>) -> Result<Self, Error> {
+        Ok(Self {
+            robot: self.robot.with_dictionary(dictionary)?,
+            runtime: self.runtime.clone(),
+        })
+    }
+
+    /// Returns whether the session is closed.
+    pub fn is_closed(&self) -> bool {
+        self.robot.is_closed()
+    }
+
+    /// Publishes `value` on `topic` to every subscriber. Blocks while the queue of the link is full.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::publish`].
+    pub fn publish<T: TryInto<Topic>>(&self, topic: T, value: impl ToPayload) -> Result<(), Error>
+    where
+        Error: From<T::Error>,
+    {
+        self.runtime.complete(self.robot.publish(topic, value))
+    }
+
+    /// Sends `value` on `topic` to one robot only. Does not check whether the robot is reachable.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::send`].
+    pub fn send<N: TryInto<Name>, T: TryInto<Topic>>(
+        &self,
+        robot: N,
+        topic: T,
+        value: impl ToPayload,
+    ) -> Result<(), Error>
+    where
+        Error: From<N::Error> + From<T::Error>,
+    {
+        self.runtime.complete(self.robot.send(robot, topic, value))
+    }
+
+    /// Subscribes to the messages that match `pattern`, which is `<robot>/<topic>` with wildcards.
+    ///
+    /// ```no_run
+    /// # fn subscribe(robot: rect::blocking::Robot) -> Result<(), rect::Error> {
+    /// for message in robot.subscribe("*/arm/angle")? {
+    ///     let angle: f64 = message.payload.value()?;
+    ///     println!("{}: {angle}", message.sender);
+    /// }
+    /// # Ok(()) }
+    /// ```
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::subscribe`].
+    pub fn subscribe<P: TryInto<Pattern>>(&self, pattern: P) -> Result<Messages, Error>
+    where
+        Error: From<P::Error>,
+    {
+        self.subscribe_with(pattern, QueueOptions::default())
+    }
+
+    /// Subscribes to the messages that match `pattern`, with other settings of the receive queue.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::subscribe`].
+    pub fn subscribe_with<P: TryInto<Pattern>>(
+        &self,
+        pattern: P,
+        queue: QueueOptions,
+    ) -> Result<Messages, Error>
+    where
+        Error: From<P::Error>,
+    {
+        let subscribed = self.robot.subscribe_with(pattern, queue);
+        Ok(Messages {
+            subscriber: self.runtime.wait(subscribed)?,
+            runtime: self.runtime.clone(),
+        })
+    }
+
+    /// Calls `callback` for each message that matches `pattern`, one at a time on a separate thread, until the returned
+    /// subscription is dropped.
+    ///
+    /// The callback may block and use the robot. If it panics, the panic is logged and the callback is called again for the
+    /// next message.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::on_message`].
+    pub fn on_message<P: TryInto<Pattern>>(
+        &self,
+        pattern: P,
+        callback: impl FnMut(Message) + Send + 'static,
+    ) -> Result<Subscription, Error>
+    where
+        Error: From<P::Error>,
+    {
+        self.on_message_with(pattern, QueueOptions::default(), callback)
+    }
+
+    /// Calls `callback` for each message that matches `pattern`, with other settings of the receive queue.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`on_message`](Self::on_message).
+    pub fn on_message_with<P: TryInto<Pattern>>(
+        &self,
+        pattern: P,
+        queue: QueueOptions,
+        callback: impl FnMut(Message) + Send + 'static,
+    ) -> Result<Subscription, Error>
+    where
+        Error: From<P::Error>,
+    {
+        let subscribed = self.robot.subscribe_with(pattern, queue);
+        let subscriber = self.runtime.wait(subscribed)?;
+        Subscription::start(self.runtime.clone(), subscriber, callback)
+    }
+
+    /// Declares a publisher of `topic`, which knows whether there are subscribers.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::publisher`].
+    pub fn publisher<T: TryInto<Topic>>(&self, topic: T) -> Result<Publisher, Error>
+    where
+        Error: From<T::Error>,
+    {
+        Ok(Publisher {
+            publisher: self.runtime.wait(self.robot.publisher(topic))?,
+            runtime: self.runtime.clone(),
+        })
+    }
+
+    /// Records messages to an MCAP file until [`finish`](RobotRecorder::finish) is called.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::record`].
+    #[cfg(feature = "recording")]
+    pub fn record(
+        &self,
+        path: impl Into<std::path::PathBuf>,
+        options: crate::RecordOptions,
+    ) -> Result<RobotRecorder, Error> {
+        Ok(RobotRecorder {
+            recorder: self.runtime.wait(self.robot.record(path, options))?,
+            runtime: self.runtime.clone(),
+        })
+    }
+
+    /// Blocks until `robot` is reachable, at most for `timeout`. Returns at once if it is.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::wait_for_peer`].
+    pub fn wait_for_peer<N: TryInto<Name>>(&self, robot: N, timeout: Duration) -> Result<(), Error>
+    where
+        Error: From<N::Error>,
+    {
+        self.runtime.wait(self.robot.wait_for_peer(robot, timeout))
+    }
+
+    /// Blocks until every reachable router knows the subscriptions and services of this program, at most for `timeout`.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::wait_until_established`].
+    pub fn wait_until_established(&self, timeout: Duration) -> Result<(), Error> {
+        self.runtime
+            .wait(self.robot.wait_until_established(timeout))
+    }
+
+    /// Blocks until the next message of `robot` on `topic`, at most for `timeout`. Messages that were sent before the
+    /// call are not received.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::wait_for_message`].
+    pub fn wait_for_message<N: TryInto<Name>>(
+        &self,
+        robot: N,
+        topic: &str,
+        timeout: Duration,
+    ) -> Result<Message, Error>
+    where
+        Error: From<N::Error>,
+    {
+        self.runtime
+            .wait(self.robot.wait_for_message(robot, topic, timeout))
+    }
+
+    /// Sends a request to the service `topic` of `robot`, and blocks until its first reply, at most for `timeout`.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::request`].
+    pub fn request<N: TryInto<Name>, T: TryInto<Topic>>(
+        &self,
+        robot: N,
+        topic: T,
+        value: impl ToPayload,
+        timeout: Duration,
+    ) -> Result<Reply, Error>
+    where
+        Error: From<N::Error> + From<T::Error>,
+    {
+        let asked = self.robot.request(robot, topic, value, timeout);
+        self.runtime.wait(asked)
+    }
+
+    /// Sends a request to the service `topic` of all robots that provide it. Replies arrive until all services have replied
+    /// or `timeout` has expired.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::request_all`].
+    pub fn request_all<T: TryInto<Topic>>(
+        &self,
+        topic: T,
+        value: impl ToPayload,
+        timeout: Duration,
+    ) -> Result<Replies, Error>
+    where
+        Error: From<T::Error>,
+    {
+        let asked = self.robot.request_all(topic, value, timeout);
+        Ok(Replies {
+            replies: self.runtime.wait(asked)?,
+            runtime: self.runtime.clone(),
+        })
+    }
+
+    /// Declares the service `topic`, and replies to each request with the result of `answer`, until the returned service is
+    /// dropped. An error, or a panic of `answer`, arrives at the requester as [`Error::Service`].
+    ///
+    /// `answer` may block. It is called on separate threads, for up to 16 requests concurrently.
+    ///
+    /// ```no_run
+    /// # fn serve(robot: rect::blocking::Robot) -> Result<(), rect::Error> {
+    /// let _service = robot.serve("double", |request| {
+    ///     let number: f64 = request.payload.value().map_err(|error| error.to_string())?;
+    ///     Ok::<_, String>(rect::Json(number * 2.0))
+    /// })?;
+    /// # Ok(()) }
+    /// ```
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::serve`].
+    pub fn serve<T, F, V, E>(&self, topic: T, answer: F) -> Result<Service, Error>
+    where
+        T: TryInto<Topic>,
+        Error: From<T::Error>,
+        F: Fn(&session::Request) -> Result<V, E> + Send + Sync + 'static,
+        V: ToPayload + Send + 'static,
+        E: ToPayload + Send + From<&'static str> + 'static,
+    {
+        let answer = Arc::new(answer);
+        let served = self.robot.serve(topic, move |request| {
+            let answer = answer.clone();
+            async move {
+                let answered = tokio::task::spawn_blocking(move || answer(&request)).await;
+                answered.unwrap_or_else(|_| Err("the service's function panicked".into()))
+            }
+        });
+        self.runtime.wait(served)
+    }
+
+    /// Returns the names of the other robots of the fleet that are reachable now, in alphabetical order.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::peers`].
+    pub fn peers(&self) -> Result<Vec<Name>, Error> {
+        self.runtime.wait(self.robot.peers())
+    }
+
+    /// Returns the connections of this robot's router.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::connections`].
+    pub fn connections(&self) -> Result<Vec<Connection>, Error> {
+        self.runtime.wait(self.robot.connections())
+    }
+
+    /// Adds a named connection to this robot's router, replacing the one of the same name.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::add_connection`].
+    pub fn add_connection(&self, connection: &NamedConnection) -> Result<(), Error> {
+        self.runtime.wait(self.robot.add_connection(connection))
+    }
+
+    /// Removes a named connection from this robot's router and closes its link.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::remove_connection`].
+    pub fn remove_connection(&self, name: &str) -> Result<(), Error> {
+        self.runtime.wait(self.robot.remove_connection(name))
+    }
+
+    /// Subscribes to events: robots that become reachable or unreachable, links that come up or go down, and the loss and
+    /// return of the router.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::events`].
+    pub fn events(&self) -> Result<Events, Error> {
+        Ok(Events {
+            events: self.runtime.wait(self.robot.events())?,
+            runtime: self.runtime.clone(),
+        })
+    }
+
+    /// Returns the counters of this session: messages and bytes sent and received, and messages missed and rejected.
+    pub fn counters(&self) -> Counters {
+        self.robot.counters()
+    }
+
+    /// Closes the session and everything that belongs to it, even if other clones of this handle exist.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::close`].
+    pub fn close(&self) -> Result<(), Error> {
+        self.runtime.wait(self.robot.close())
+    }
+}
+
+impl Messages {
+    /// Blocks until the next message; returns `None` if none arrives within `timeout`, or if the session is closed.
+    ///
+    /// If the timeout expires while the dictionary of a message is fetched, the next call returns that message.
+    pub fn next_timeout(&mut self, timeout: Duration) -> Option<Message> {
+        let next = async { tokio::time::timeout(timeout, self.subscriber.next()).await };
+        self.runtime.wait(next).ok().flatten()
+    }
+
+    /// Returns the number of messages that were dropped because the queue was full.
+    pub fn dropped(&self) -> u64 {
+        self.subscriber.dropped()
+    }
+}
+
+impl Iterator for Messages {
+    type Item = Message;
+
+    fn next(&mut self) -> Option<Message> {
+        self.runtime.wait(self.subscriber.next())
+    }
+}
+
+impl Iterator for Replies {
+    type Item = Result<Reply, Error>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.runtime.wait(self.replies.next())
+    }
+}
+
+impl Iterator for Events {
+    type Item = Event;
+
+    fn next(&mut self) -> Option<Event> {
+        self.runtime.wait(self.events.next())
+    }
+}

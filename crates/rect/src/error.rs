@@ -1,0 +1,227 @@
+//! Defines [`Error`], the error type of sessions. Each variant documents what the program or its user can do about it.
+use std::{path::PathBuf, time::Duration};
+
+use rect_core::{
+    codec::{dictionary::DictionaryError, CodecError},
+    message::payload::{Payload, PayloadError},
+    name::{
+        topic::{Topic, TopicError},
+        Name, NameError,
+    },
+    session::{login::LoginRefused, router::WrongRobot},
+    stream::options::OptionError,
+    text::humanize,
+    transfer::{Fault, OfferError, Refusal},
+};
+use zenoh::session::SessionClosedError;
+
+/// An error of a session, of a codec, or of the arguments of a call.
+///
+/// The `Display` text names the robot, topic or endpoint involved, and suggests what to do.
+///
+/// ```no_run
+/// # use std::time::Duration;
+/// # async fn ask(robot: rect::Robot) -> Result<(), rect::Error> {
+/// match robot.request("wombat-2", "battery", "", Duration::from_secs(1)).await {
+///     Ok(reply) => println!("{:?}", reply.payload),
+///     Err(rect::Error::NoService { available, .. }) => println!("reachable robots: {available}"),
+///     Err(error) => return Err(error),
+/// }
+/// # Ok(()) }
+/// ```
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum Error {
+    /// The name of a robot or fleet is invalid. Choose another name.
+    #[error(transparent)]
+    Name(#[from] NameError),
+    /// A topic or pattern is invalid. The text describes the expected form.
+    #[error(transparent)]
+    Topic(#[from] TopicError),
+    /// A value cannot be sent, or a payload cannot be read as the requested type. Read it as the type that its encoding
+    /// states.
+    #[error(transparent)]
+    Payload(#[from] PayloadError),
+    /// A codec does not support the payload, or an encoded payload is damaged. Choose a codec for this kind of payload,
+    /// or have the payload sent again.
+    #[error(transparent)]
+    Codec(#[from] CodecError),
+    /// No router answers at the endpoint. Start one, or select another one with [`Options::router`](crate::Options::router).
+    #[error(
+        "no router answers at {endpoint}: {reason}. Start one on this computer with `rect-router -l tcp/127.0.0.1:7447`, \
+         or select another one with the option `router` or the environment variable RECT_ENDPOINT"
+    )]
+    NoRouter {
+        /// The endpoint that was tried, such as `tcp/127.0.0.1:7447`.
+        endpoint: String,
+        /// The essential part of Zenoh's reason, or how long the router did not answer.
+        reason: String,
+        /// The error of Zenoh; `None` if the router did not answer.
+        source: Option<zenoh::Error>,
+    },
+    /// The router requires a login, and the program's login is missing or wrong. Select the team's login file.
+    #[error(transparent)]
+    LoginRefused(#[from] LoginRefused),
+    /// The router belongs to another robot. Connect under the router's name, or to the right router.
+    #[error(transparent)]
+    WrongRobot(#[from] WrongRobot),
+    /// A locator or another value of the options is invalid. Correct the value; the text contains the reason.
+    #[error("the option {option} cannot be {value:?}: {}", humanize::with_causes(.source.as_ref()))]
+    Option {
+        /// The name of the option.
+        option: &'static str,
+        /// The rejected value.
+        value: String,
+        /// The reason that Zenoh reports, or the values that RECT allows.
+        source: zenoh::Error,
+    },
+    /// No program provides the service. Is the robot reachable, and is its program running?
+    #[error("no program serves {topic} at {robot}; reachable robots: {available}")]
+    NoService {
+        /// The robot that was asked.
+        robot: String,
+        /// The topic of the service.
+        topic: String,
+        /// The names of the reachable robots, separated by commas; `none` if there is none.
+        available: String,
+    },
+    /// The timeout expired. Try again, set a longer timeout, or check the link (`rect connections`).
+    #[error("no {expected} within {}", humanize::duration(*.timeout))]
+    TimedOut {
+        /// The item that the call waited for, as a noun phrase.
+        expected: String,
+        /// How long it waited.
+        timeout: Duration,
+    },
+    /// The service replied with an error. The payload describes it.
+    #[error("{} replied with an error: {}", .robot.as_ref().map_or("the service", Name::as_str), beginning(.payload))]
+    Service {
+        /// The robot that replied; `None` if the service is a stock Zenoh program, whose replies do not name one.
+        robot: Option<Name>,
+        /// The error, as the service returned it.
+        payload: Payload,
+    },
+    /// A Zenoh operation failed. The text contains the reason that Zenoh reports.
+    #[error("{operation}: {}", humanize::with_causes(.source.as_ref()))]
+    Zenoh {
+        /// The failure, such as "cannot declare the publisher".
+        operation: &'static str,
+        /// The reason that Zenoh reports.
+        source: zenoh::Error,
+    },
+    /// The call runs outside of tokio's runtime with several threads, which Zenoh requires. `#[tokio::main]` provides it, and
+    /// `#[tokio::test(flavor = "multi_thread")]`.
+    #[error(
+        "Zenoh requires tokio's runtime with several threads, and {found}: use `#[tokio::main]` without \
+         `flavor = \"current_thread\"`, or `#[tokio::test(flavor = \"multi_thread\")]`"
+    )]
+    Runtime {
+        /// The situation of the call, as a clause such as "this one has a single thread".
+        found: &'static str,
+    },
+    /// A thread cannot be started. Has the computer too many processes, or too little memory?
+    #[error("cannot start a thread: {source}")]
+    Thread {
+        /// The error of the operating system.
+        source: std::io::Error,
+    },
+    /// A dictionary cannot be shared, because this program shares another one with the same id. Train one of them again.
+    #[error(transparent)]
+    Dictionary(#[from] DictionaryError),
+    /// The receiver refused the transfer. The receiver sets what it accepts in its call of
+    /// [`receive_transfers`](crate::Robot::receive_transfers).
+    #[error("{robot} refused the transfer {topic}: {refusal}")]
+    TransferRefused {
+        /// The receiver.
+        robot: Name,
+        /// The topic of the transfer.
+        topic: Topic,
+        /// The reason for the refusal.
+        #[source]
+        refusal: Refusal,
+    },
+    /// A transfer ended before it was complete. The fault states whether sending it again can help.
+    #[error("the transfer {topic} with {robot} failed: {fault}")]
+    TransferFailed {
+        /// The robot at the other end.
+        robot: Name,
+        /// The topic of the transfer.
+        topic: Topic,
+        /// The reason for the failure.
+        #[source]
+        fault: Fault,
+    },
+    /// A file or folder of a transfer cannot be used. Check that it exists, and its permissions.
+    #[error("{}: {reason}", .path.display())]
+    File {
+        /// The path of the file or folder.
+        path: PathBuf,
+        /// The error of the operating system.
+        #[source]
+        reason: std::io::Error,
+    },
+    /// The file name of a transfer is invalid. Choose another name.
+    #[error(transparent)]
+    Offer(#[from] OfferError),
+    /// A recording cannot start, or not become a file. Choose another name, or make room on the disk; `rect recording merge` makes a
+    /// file of what was recorded.
+    #[cfg(feature = "recording")]
+    #[error(transparent)]
+    Recording(#[from] rect_recording::RecorderError),
+    /// The session was closed. Connect again to continue.
+    #[error("the session is closed")]
+    Closed,
+}
+
+/// Returns the first 500 characters of a service's error.
+fn beginning(payload: &Payload) -> String {
+    let text = String::from_utf8_lossy(&payload.bytes);
+    text.chars().take(500).collect()
+}
+
+impl From<OptionError> for Error {
+    fn from(error: OptionError) -> Self {
+        Self::Option {
+            option: error.option,
+            source: error.reason().into(),
+            value: error.value,
+        }
+    }
+}
+
+impl From<std::convert::Infallible> for Error {
+    fn from(never: std::convert::Infallible) -> Self {
+        match never {}
+    }
+}
+
+impl Error {
+    /// Creates the error that no program of `robot` serves `topic`. `available` are the reachable robots.
+    pub(crate) fn no_service(robot: String, topic: String, available: &[Name]) -> Self {
+        let names: Vec<&str> = available.iter().map(Name::as_str).collect();
+        let available = match names.as_slice() {
+            [] => "none".to_owned(),
+            names => names.join(", "),
+        };
+        Self::NoService {
+            robot,
+            topic,
+            available,
+        }
+    }
+
+    /// Returns a function that converts an error of Zenoh. `operation` states what failed, in the form "cannot ...".
+    pub(crate) fn zenoh(operation: &'static str) -> impl FnOnce(zenoh::Error) -> Self {
+        move |source| {
+            if source.is::<SessionClosedError>() {
+                return Self::Closed;
+            }
+            Self::Zenoh { operation, source }
+        }
+    }
+
+    /// Converts the error that a thread cannot be started.
+    pub(crate) fn thread(source: std::io::Error) -> Self {
+        Self::Thread { source }
+    }
+}

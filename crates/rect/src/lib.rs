@@ -1,0 +1,66 @@
+//! RECT, the Robot Extensible Communication Toolkit: robots exchange messages, streams and files over TCP, UDP and
+//! Bluetooth Low Energy, on top of Zenoh.
+//!
+//! ```no_run
+//! # async fn example() -> Result<(), rect::Error> {
+//! let robot = rect::connect("wombat-1").await?;
+//! robot.publish("arm/angle", "12.5").await?;
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! The crate `rect-core` makes all decisions, without I/O: about names, keys, encodings and codecs, and in drivers about
+//! sessions, streams and transfers. This crate performs the actions of the drivers on Zenoh. The async API is at the root,
+//! and [`blocking`] contains the same without async.
+//!
+//! | feature | contents |
+//! |---|---|
+//! | `video` | video in streams: H.264, which needs a C++ compiler |
+//! | `recording` | recordings in MCAP and Matroska files (`rect::recording`), with `video` |
+pub mod blocking;
+mod error;
+mod session;
+
+pub use error::Error;
+pub use session::*;
+
+pub use rect_core::{
+    codec,
+    codec::{
+        array::Array,
+        dictionary::{Dictionary, DictionaryError},
+        picture::{Format, Picture},
+        Codec, CodecError,
+    },
+    message::{
+        counters::Counters,
+        encoding::Encoding,
+        gaps::SenderCounts,
+        payload::{Cbor, Json, Payload, PayloadError, ToPayload},
+        queue::WhenFull,
+        urgency::Urgency,
+        Message,
+    },
+    name::{
+        topic::{Pattern, Topic, TopicError},
+        Name, NameError,
+    },
+    registry::{
+        connection::{
+            Connection, ConnectionState, Event, Link, LinkPath, LinkPathState, PathSwitch, PeerId,
+            SwitchReason, Traffic,
+        },
+        named_connection::NamedConnection,
+    },
+    session::{login::LoginRefused, router::WrongRobot},
+    storage::Content,
+    stream::{
+        options::OptionError,
+        picture::LossyFormat,
+        sender::Options as StreamOptions,
+        status::{Status as StreamStatus, VideoStatus},
+    },
+    transfer::{Fault, Offer, OfferError, Progress, Refusal},
+};
+#[cfg(feature = "recording")]
+pub use rect_recording as recording;

@@ -1,0 +1,48 @@
+//! Implements sessions on Zenoh: robots, subscribers, services, streams and transfers. The protocol's decisions are made in
+//! the [core](rect_core); this module connects them to Zenoh and to the program.
+mod connect;
+mod convert;
+mod declared;
+mod decoder;
+mod events;
+mod executor;
+mod options;
+mod publication;
+mod publisher;
+mod queries;
+mod receive_queue;
+#[cfg(feature = "recording")]
+mod recorded;
+#[cfg(feature = "recording")]
+mod recording;
+mod registry;
+mod request;
+mod robot;
+mod router_links;
+mod service;
+mod shared;
+mod signal;
+mod stream;
+mod subscriber;
+mod threads;
+mod transfer;
+mod urgency_sessions;
+mod waiting;
+
+pub use events::Events;
+pub use options::{connect, Options};
+pub use publisher::Publisher;
+#[cfg(feature = "recording")]
+pub use recorded::Recorded;
+#[cfg(feature = "recording")]
+pub use recording::{RecordOptions, RobotRecorder};
+pub use request::{Replies, Reply};
+pub use robot::Robot;
+pub use service::{Request, Requests, Service};
+pub use stream::{Frame, Stream, Watch};
+pub(crate) use subscriber::call;
+pub use subscriber::{QueueOptions, Subscriber, Subscription};
+pub use threads::use_one_thread;
+pub use transfer::{
+    Destination, IncomingTransfer, ReceiveOptions, Received, Transfer, TransferSource, Transfers,
+};

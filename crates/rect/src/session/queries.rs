@@ -1,0 +1,138 @@
+//! Declares publishers, publishes, queries and answers on a Zenoh session as the core's actions say.
+use rect_core::{
+    driver::{Answer, Get, Sample, Target},
+    message::{payload::Payload, urgency::Qos},
+};
+use zenoh::{
+    bytes::{Encoding, ZBytes},
+    handlers::{CallbackDrop, DefaultHandler},
+    liveliness::Liveliness,
+    pubsub::Publisher,
+    query::{ConsolidationMode, Query, QueryTarget, Reply},
+    session::SessionGetBuilder,
+    Session, Wait,
+};
+
+use super::convert::{self, congestion_control, priority};
+use crate::error::Error;
+
+/// Declares a publisher.
+pub(super) fn publisher(
+    session: &Session,
+    key: String,
+    qos: Qos,
+) -> Result<Publisher<'static>, Error> {
+    let declared = session
+        .declare_publisher(key)
+        .priority(priority(qos))
+        .express(qos.express)
+        .congestion_control(congestion_control(qos))
+        .wait();
+    declared.map_err(Error::zenoh("cannot declare the publisher"))
+}
+
+pub(super) fn put(
+    publisher: &Publisher<'static>,
+    payload: Payload,
+    attachment: Option<Vec<u8>>,
+) -> Result<(), Error> {
+    let put = publisher
+        .put(payload.bytes)
+        .encoding(Encoding::from(payload.encoding.as_str()))
+        .attachment(attachment);
+    put.wait().map_err(Error::zenoh("cannot send the message"))
+}
+
+pub(super) fn put_once(
+    session: &Session,
+    key: &str,
+    payload: Payload,
+    qos: Qos,
+) -> Result<(), Error> {
+    let put = session
+        .put(key, payload.bytes)
+        .encoding(Encoding::from(payload.encoding.as_str()))
+        .priority(priority(qos))
+        .express(qos.express)
+        .congestion_control(congestion_control(qos));
+    put.wait().map_err(Error::zenoh("cannot send the message"))
+}
+
+/// Sends a query. `on_end` is called exactly once, after the last reply or if the query cannot be sent.
+pub(super) fn get(
+    session: &Session,
+    get: Get,
+    on_reply: impl Fn(Result<Sample, Payload>) + Send + Sync + 'static,
+    on_end: impl FnOnce() + Send + Sync + 'static,
+) {
+    let mut on_end = Some(on_end);
+    let handler = CallbackDrop {
+        callback: move |reply: Reply| on_reply(convert::reply(reply)),
+        drop: move || {
+            if let Some(on_end) = on_end.take() {
+                on_end();
+            }
+        },
+    };
+    let key = get.selector.clone();
+    let sent = if get.liveliness {
+        let liveliness: Liveliness = session.liveliness();
+        let asked = liveliness.get(get.selector).timeout(get.timeout);
+        asked.with(handler).wait()
+    } else {
+        builder(session, get).with(handler).wait()
+    };
+    if let Err(error) = sent {
+        // `on_end` has been called.
+        tracing::debug!("cannot query {key}: {error}");
+    }
+}
+
+/// Prepares a query for data.
+pub(super) fn builder<'a>(
+    session: &'a Session,
+    get: Get,
+) -> SessionGetBuilder<'a, 'static, DefaultHandler> {
+    let target = match get.target {
+        Target::All => QueryTarget::All,
+        Target::BestMatching => QueryTarget::BestMatching,
+    };
+    let prepared = session
+        .get(get.selector)
+        .target(target)
+        .consolidation(ConsolidationMode::None)
+        .priority(priority(get.qos))
+        .express(get.qos.express)
+        .congestion_control(congestion_control(get.qos))
+        .timeout(get.timeout)
+        .attachment(get.attachment);
+    match get.payload {
+        Some(Payload { bytes, encoding }) => prepared.payload(bytes).encoding(encoding.as_str()),
+        None => prepared,
+    }
+}
+
+/// Answers a query. An answer that cannot be sent is repeated by the protocols that need it.
+pub(super) fn answer(query: &Query, answer: Answer) {
+    let sent = match answer {
+        Answer::Reply { key, payload } => {
+            let reply = query.reply(key, payload.bytes);
+            reply.encoding(payload.encoding.as_str()).wait()
+        }
+        Answer::Error(payload) => {
+            let reply = query.reply_err(payload.bytes);
+            reply.encoding(payload.encoding.as_str()).wait()
+        }
+        Answer::None => Ok(()),
+    };
+    if let Err(error) = sent {
+        tracing::debug!("cannot reply on {}: {error}", query.key_expr());
+    }
+}
+
+/// Returns the payload of a query, which is empty if there is none.
+pub(super) fn payload_of(query: &Query) -> Payload {
+    let empty = (ZBytes::new(), Encoding::default());
+    let bytes = query.payload().unwrap_or(&empty.0);
+    convert::payload(bytes, query.encoding().unwrap_or(&empty.1))
+}

@@ -1,0 +1,185 @@
+//! Queries the routers for reachable robots and connections (docs/reference/registry.md lists the keys), and changes the
+//! named connections of a router.
+use rect_core::{
+    message::payload::Payload,
+    name::Name,
+    registry::{
+        connection::Connection,
+        named_connection::{NamedConnection, ADD, REMOVE},
+        RegistryError, RegistryQuery,
+    },
+    session::peers::{PeersQuery, TIMEOUT},
+};
+use serde::de::DeserializeOwned;
+
+use super::{executor::Executor, robot::Robot, shared::NoItems};
+use crate::error::Error;
+
+impl Robot {
+    /// Returns the names of the other robots of the fleet that are reachable now, in alphabetical order.
+    ///
+    /// # Errors
+    /// [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// Dropping the future abandons the question. Nothing else changes.
+    pub async fn peers(&self) -> Result<Vec<Name>, Error> {
+        let query = PeersQuery::new(self.inner.place.clone());
+        Executor::new(&self.inner.session, query, NoItems)
+            .run()
+            .await
+    }
+
+    /// Returns the connections of this robot's router: named connections, links, and discovered robots.
+    ///
+    /// # Errors
+    /// [`Error::NoService`] if the robot has no router with RECT's registry, [`Error::Service`] if the router rejects the
+    /// query, [`Error::TimedOut`] if no reply arrives within 5 s, and [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// Dropping the future abandons the question. Nothing else changes.
+    pub async fn connections(&self) -> Result<Vec<Connection>, Error> {
+        self.connections_of(self.name().clone(), "").await
+    }
+
+    /// Returns the connections of the router of `robot` that match `filter`, such as `method=ble` or
+    /// `peer=wombat-2;state=connected` (docs/reference/registry.md). An empty filter matches all.
+    ///
+    /// # Errors
+    /// Returns the errors of [`connections`](Self::connections), and [`Error::Name`] if `robot` is not a valid name.
+    ///
+    /// # Cancel safety
+    /// Dropping the future abandons the question. Nothing else changes.
+    pub async fn connections_of<N: TryInto<Name>>(
+        &self,
+        robot: N,
+        filter: &str,
+    ) -> Result<Vec<Connection>, Error>
+    where
+        Error: From<N::Error>,
+    {
+        self.query_registry(robot.try_into()?, "connections", filter)
+            .await
+    }
+
+    /// Sends any query to the registry of `robot`, such as `connections/count` or `status` (docs/reference/registry.md), and
+    /// deserializes the JSON reply as `T`.
+    ///
+    /// # Errors
+    /// Returns the errors of [`connections`](Self::connections), and [`Error::Payload`] if the reply cannot be
+    /// deserialized as `T`.
+    ///
+    /// # Cancel safety
+    /// Dropping the future abandons the question. Nothing else changes.
+    pub async fn query_registry<T: DeserializeOwned>(
+        &self,
+        robot: Name,
+        question: &str,
+        filter: &str,
+    ) -> Result<T, Error> {
+        let place = self.inner.place.clone();
+        let query = RegistryQuery::new(place, robot.clone(), question, filter);
+        Ok(self.query_router(robot, query).await?.value()?)
+    }
+
+    /// Adds a named connection to this robot's router, replacing the one of the same name. The router dials it from now on,
+    /// also after a restart. If an identical connection exists, it stays connected.
+    ///
+    /// ```no_run
+    /// # async fn add(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let base = rect::NamedConnection::new("base", "tcp", "192.168.125.2").port(7447);
+    /// robot.add_connection(&base).await?;
+    /// # Ok(()) }
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Service`] with the reason if the router rejects the connection; [`Error::NoService`] if the robot has no
+    /// router whose configuration names a connections file (`plugins/rect/connections`); [`Error::TimedOut`] if no reply
+    /// arrives within 5 s.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, the router may have made the change, or may still make it.
+    pub async fn add_connection(&self, connection: &NamedConnection) -> Result<(), Error> {
+        let robot = self.name().clone();
+        self.add_connection_of(robot, connection).await
+    }
+
+    /// Adds a named connection to the router of another robot, whose access control must permit it
+    /// (`docs/reference/configuration.md`).
+    ///
+    /// # Errors
+    /// Returns the errors of [`add_connection`](Self::add_connection), and [`Error::Name`] if `robot` is not a valid name.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, the router may have made the change, or may still make it.
+    pub async fn add_connection_of<N: TryInto<Name>>(
+        &self,
+        robot: N,
+        connection: &NamedConnection,
+    ) -> Result<(), Error>
+    where
+        Error: From<N::Error>,
+    {
+        self.configure(robot.try_into()?, ADD, connection.to_json())
+            .await
+    }
+
+    /// Removes a named connection from this robot's router and closes its link.
+    ///
+    /// # Errors
+    /// [`Error::Service`] if the router has no connection of that name; [`Error::NoService`] and [`Error::TimedOut`] as
+    /// for [`add_connection`](Self::add_connection).
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, the router may have made the change, or may still make it.
+    pub async fn remove_connection(&self, name: &str) -> Result<(), Error> {
+        let robot = self.name().clone();
+        self.remove_connection_of(robot, name).await
+    }
+
+    /// Removes a named connection from the router of another robot, whose access control must permit it
+    /// (`docs/reference/configuration.md`).
+    ///
+    /// # Errors
+    /// Returns the errors of [`remove_connection`](Self::remove_connection), and [`Error::Name`] if `robot` is not a valid
+    /// name.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, the router may have made the change, or may still make it.
+    pub async fn remove_connection_of<N: TryInto<Name>>(
+        &self,
+        robot: N,
+        name: &str,
+    ) -> Result<(), Error>
+    where
+        Error: From<N::Error>,
+    {
+        self.configure(robot.try_into()?, REMOVE, name.to_owned())
+            .await
+    }
+
+    async fn configure(&self, robot: Name, action: &str, argument: String) -> Result<(), Error> {
+        let place = self.inner.place.clone();
+        let change = RegistryQuery::change(place, robot.clone(), action, argument);
+        self.query_router(robot, change).await?;
+        Ok(())
+    }
+
+    async fn query_router(&self, robot: Name, query: RegistryQuery) -> Result<Payload, Error> {
+        let executor = Executor::new(&self.inner.session, query, NoItems);
+        executor.run().await?.map_err(|error| match error {
+            RegistryError::Rejected(payload) => Error::Service {
+                robot: Some(robot),
+                payload,
+            },
+            RegistryError::TimedOut { expected } => Error::TimedOut {
+                expected,
+                timeout: TIMEOUT,
+            },
+            RegistryError::NoService { service, available } => {
+                Error::no_service(robot.to_string(), service, &available)
+            }
+            RegistryError::Closed => Error::Closed,
+        })
+    }
+}

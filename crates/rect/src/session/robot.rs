@@ -1,0 +1,384 @@
+//! Defines [`Robot`], a program's handle of its session, and publishes messages.
+use std::{
+    fmt,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::{Duration, Instant},
+};
+
+use rect_core::{
+    codec::{dictionary::Dictionary, dictionary_codec::DictionaryCodec, Codec},
+    message::{
+        counters::AtomicCounters,
+        payload::{Payload, ToPayload},
+        urgency::Urgency,
+    },
+    name::{key::KeySpace, topic::Topic, Name},
+    session::{
+        peers::DirectPresence,
+        publication::{PublicationKey, Publications},
+    },
+};
+use tokio::runtime::Handle;
+use zenoh::{Config, Session};
+
+use super::{
+    convert::now_ms,
+    decoder::Decoder,
+    executor::{Executor, Running},
+    publication::{Publication, Put},
+    router_links::RouterLinks,
+    shared::NoItems,
+    urgency_sessions::UrgencySessions,
+};
+use crate::error::Error;
+
+/// A handle of a program's session, through which it communicates as one robot of the fleet.
+///
+/// Clones are cheap and share the session. The session ends when [`close`](Self::close) is called, or when the last
+/// clone is dropped and no subscriber, service, stream or transfer that was created with it is left.
+#[derive(Clone)]
+pub struct Robot {
+    pub(super) inner: Arc<Inner>,
+    urgency: Urgency,
+    codec: Option<Arc<dyn Codec>>,
+    /// The time after which messages expire.
+    lifetime: Option<Duration>,
+}
+
+pub(super) struct Inner {
+    pub(super) session: Session,
+    pub(super) urgency_sessions: UrgencySessions,
+    pub(super) place: KeySpace,
+    pub(super) runtime: Handle,
+    publications: Mutex<Publications<Publication>>,
+    pub(super) decoder: Arc<Decoder>,
+    pub(super) counting: Arc<AtomicCounters>,
+    /// The router's links; `None` without a router.
+    pub(super) router_links: Option<RouterLinks>,
+    pub(super) direct: bool,
+    /// The presence of the robot; `None` if its router has one.
+    _presence: Option<Running<DirectPresence>>,
+}
+
+impl Robot {
+    /// Completes the session. `router` is the configuration with which the router was reached, if there is one.
+    pub(super) async fn start(
+        session: Session,
+        place: KeySpace,
+        router: Option<Config>,
+    ) -> Result<Self, Error> {
+        let direct = router.is_none();
+        let (presence, router_links) = if direct {
+            let id = session.zid().to_string();
+            let presence = DirectPresence::new(&place, &id, now_ms(), Instant::now());
+            let executor = Executor::new(&session, presence, NoItems);
+            (Some(executor.start(&Handle::current())?), None)
+        } else {
+            let links = RouterLinks::follow(&session, &place, &Handle::current())?;
+            (None, Some(links))
+        };
+        let decoder = Decoder::new(&session, &place);
+        let inner = Inner {
+            urgency_sessions: UrgencySessions::new(session.clone(), router),
+            session,
+            place,
+            runtime: Handle::current(),
+            publications: Mutex::default(),
+            decoder,
+            counting: Arc::default(),
+            router_links,
+            direct,
+            _presence: presence,
+        };
+        Ok(Self {
+            inner: Arc::new(inner),
+            urgency: Urgency::default(),
+            codec: None,
+            lifetime: None,
+        })
+    }
+
+    /// Returns the name of this robot.
+    pub fn name(&self) -> &Name {
+        &self.inner.place.robot
+    }
+
+    /// Returns the name of the fleet.
+    pub fn fleet(&self) -> &Name {
+        &self.inner.place.fleet
+    }
+
+    /// Returns the underlying Zenoh session, for features of Zenoh that this API does not cover. If the program uses a
+    /// router, urgent and bulk messages have separate sessions.
+    pub fn zenoh(&self) -> &Session {
+        &self.inner.session
+    }
+
+    /// Returns a handle that publishes, sends, requests and streams with `urgency`.
+    ///
+    /// ```no_run
+    /// # async fn stop(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// robot.with_urgency(rect::Urgency::Urgent).publish("stop", "").await?;
+    /// # Ok(()) }
+    /// ```
+    #[must_use]
+    pub fn with_urgency(&self, urgency: Urgency) -> Self {
+        Self {
+            urgency,
+            ..self.clone()
+        }
+    }
+
+    /// Returns a handle whose messages overtake all messages that are not urgent.
+    #[must_use]
+    pub fn urgent(&self) -> Self {
+        self.with_urgency(Urgency::Urgent)
+    }
+
+    /// Returns a handle whose messages are overtaken by all messages that are not bulk.
+    #[must_use]
+    pub fn bulk(&self) -> Self {
+        self.with_urgency(Urgency::Bulk)
+    }
+
+    /// Returns a handle whose messages expire: they are dropped rather than delivered later than this after they were sent. For
+    /// commands such as steering, of which an old one is worse than none.
+    ///
+    /// Such a message never waits where another one would: a link or queue without room drops it. A receiver drops it if it was
+    /// on the way for longer, or has waited for longer in the receive queue; [`Counters::expired`](crate::Counters) counts it there.
+    /// The time on the way is measured against the fastest message of this program and topic, so the bound is the lifetime and
+    /// what that message took. A stock Zenoh program gets a plain message. Requests and streams are not affected.
+    ///
+    /// ```no_run
+    /// # async fn drive(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let steering = robot.expires_after(std::time::Duration::from_millis(200));
+    /// steering.send("wombat-2", "drive", rect::Json([0.5, 0.5])).await?;
+    /// # Ok(()) }
+    /// ```
+    #[must_use]
+    pub fn expires_after(&self, lifetime: Duration) -> Self {
+        Self {
+            lifetime: Some(lifetime),
+            ..self.clone()
+        }
+    }
+
+    /// Returns a handle that encodes the payloads of messages and requests with `codec`; receivers decode them
+    /// automatically. Replies, streams and transfers are not affected.
+    ///
+    /// ```no_run
+    /// # async fn publish(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let compressed = robot.with_codec(rect::codec::parse("zstd:9")?);
+    /// compressed.publish("log", "a long text").await?;
+    /// # Ok(()) }
+    /// ```
+    #[must_use]
+    pub fn with_codec(&self, codec: Arc<dyn Codec>) -> Self {
+        Self {
+            codec: Some(codec),
+            ..self.clone()
+        }
+    }
+
+    /// Returns a handle that compresses the payloads of messages and requests with zstd and `dictionary`, which makes
+    /// small JSON messages much smaller.
+    ///
+    /// Each receiver fetches the dictionary once. This program serves it until the session ends.
+    ///
+    /// ```no_run
+    /// # async fn publish(robot: rect::Robot) -> Result<(), Box<dyn std::error::Error>> {
+    /// let dictionary = rect::Dictionary::read("telemetry.dictionary")?;
+    /// let compressed = robot.with_dictionary(dictionary.into())?;
+    /// compressed.publish("telemetry", rect::Json([1, 2, 3])).await?;
+    /// # Ok(()) }
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Dictionary`] if this program shares another dictionary with the same id, and [`Error::Closed`] if the
+    /// session is closed.
+    pub fn with_dictionary(&self, dictionary: Arc<Dictionary>) -> Result<Self, Error> {
+        self.inner.decoder.serve(&dictionary)?;
+        Ok(self.with_codec(Arc::new(DictionaryCodec::new(dictionary))))
+    }
+
+    /// Returns the urgency of the messages of this handle.
+    pub fn urgency(&self) -> Urgency {
+        self.urgency
+    }
+
+    /// Publishes `value` on `topic` to every subscriber. Waits while the queue of the link is full.
+    ///
+    /// ```no_run
+    /// # async fn publish(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// robot.publish("arm/angle", rect::Json(12.5)).await?;
+    /// # Ok(()) }
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Topic`] if the topic is invalid, [`Error::Payload`] if the value cannot be serialized, [`Error::Codec`] if
+    /// the codec of this handle does not support it, and [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped after it was polled, the message may still be published: another thread may be about to
+    /// send it.
+    pub async fn publish<T: TryInto<Topic>>(
+        &self,
+        topic: T,
+        value: impl ToPayload,
+    ) -> Result<(), Error>
+    where
+        Error: From<T::Error>,
+    {
+        self.send_to(topic.try_into()?, None, self.payload(value)?)
+            .await
+    }
+
+    /// Sends `value` on `topic` to one robot only.
+    ///
+    /// The call does not check whether the robot is reachable; use [`request`](Self::request) if a reply is needed.
+    ///
+    /// ```no_run
+    /// # async fn send(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// robot.send("wombat-2", "grab", rect::Json(3)).await?;
+    /// # Ok(()) }
+    /// ```
+    ///
+    /// # Errors
+    /// Returns the errors of [`publish`](Self::publish), and [`Error::Name`] if `robot` is not a valid name.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped after it was polled, the message may still be published: another thread may be about to
+    /// send it.
+    pub async fn send<N: TryInto<Name>, T: TryInto<Topic>>(
+        &self,
+        robot: N,
+        topic: T,
+        value: impl ToPayload,
+    ) -> Result<(), Error>
+    where
+        Error: From<N::Error> + From<T::Error>,
+    {
+        let recipient = Some(robot.try_into()?);
+        self.send_to(topic.try_into()?, recipient, self.payload(value)?)
+            .await
+    }
+
+    /// Returns whether the session is closed.
+    pub fn is_closed(&self) -> bool {
+        self.inner.session.is_closed()
+    }
+
+    /// Closes the session and everything that belongs to it, even if other clones of this handle exist.
+    ///
+    /// # Errors
+    /// [`Error::Zenoh`] if Zenoh cannot close the session.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, the session may be closed or not. Call it again.
+    pub async fn close(&self) -> Result<(), Error> {
+        let closed = self.inner.urgency_sessions.close().await;
+        closed.map_err(Error::zenoh("cannot close the session"))
+    }
+
+    pub(super) fn payload(&self, value: impl ToPayload) -> Result<Payload, Error> {
+        let payload = value.into_payload()?;
+        let payload = match &self.codec {
+            Some(codec) => codec.encode(&payload)?,
+            None => payload,
+        };
+        Ok(payload.sendable()?)
+    }
+
+    async fn send_to(
+        &self,
+        topic: Topic,
+        recipient: Option<Name>,
+        payload: Payload,
+    ) -> Result<(), Error> {
+        let key = self.publication_key(topic, recipient);
+        let called = self.lifetime.map(|_| Instant::now());
+        let publication = self.publication(key).await?;
+        // The first message of an urgency waits for its session.
+        let waited = called.map_or(Duration::ZERO, |called| called.elapsed());
+        self.put(&publication, payload, waited)?.done().await
+    }
+
+    pub(super) fn publication_key(&self, topic: Topic, recipient: Option<Name>) -> PublicationKey {
+        PublicationKey {
+            topic,
+            recipient,
+            urgency: self.urgency,
+            expires: self.lifetime.is_some(),
+        }
+    }
+
+    /// Publishes a payload that has waited for that time.
+    pub(super) fn put(
+        &self,
+        publication: &Arc<Publication>,
+        payload: Payload,
+        waited: Duration,
+    ) -> Result<Put, Error> {
+        let lifetime = self.lifetime.map(|all| all.saturating_sub(waited));
+        if lifetime.is_some_and(|rest| rest.is_zero()) {
+            self.inner.counting.on_expired(0);
+            return Ok(Put::Done);
+        }
+        publication.put(payload, None, lifetime, &self.inner.runtime)
+    }
+
+    /// Publishes a message of a recording again, on its own topic or another one, with its urgency and to its recipient. Receivers
+    /// can tell it from live messages by [`Message::replayed`](crate::Message::replayed).
+    ///
+    /// # Errors
+    /// Returns the errors of [`publish`](Self::publish), and [`Error::Name`] if the recipient is not a valid name.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped after it was polled, the message may still be published: another thread may be about to
+    /// send it.
+    #[cfg(feature = "recording")]
+    pub async fn replay(&self, topic: Topic, entry: rect_recording::Entry) -> Result<(), Error> {
+        let recipient = entry.recipient.as_deref().map(Name::new).transpose()?;
+        let key = PublicationKey {
+            topic,
+            recipient,
+            urgency: entry.urgency,
+            expires: false,
+        };
+        let publication = self.publication(key).await?;
+        let sent_ms = u64::try_from(entry.sent.as_millis()).unwrap_or(0);
+        let payload = entry.payload.sendable()?;
+        let put = publication.put(payload, Some(sent_ms), None, &self.inner.runtime)?;
+        put.done().await
+    }
+
+    pub(super) async fn publication(&self, key: PublicationKey) -> Result<Arc<Publication>, Error> {
+        if let Some(cached) = self.publications().get(&key) {
+            return Ok(cached.clone());
+        }
+        let session = self.inner.urgency_sessions.of(key.urgency).await;
+        let mut publications = self.publications();
+        // Another task may have declared it in the meantime.
+        if let Some(cached) = publications.get(&key) {
+            return Ok(cached.clone());
+        }
+        let zenoh_key = key.key(&self.inner.place);
+        let counting = self.inner.counting.clone();
+        let publication = Publication::declare(session, zenoh_key, key.qos(), counting)?;
+        let publication = Arc::new(publication);
+        publications.add(key, publication.clone());
+        Ok(publication)
+    }
+
+    fn publications(&self) -> MutexGuard<'_, Publications<Publication>> {
+        let publications = self.inner.publications.lock();
+        publications.unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl fmt::Debug for Robot {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let place = &self.inner.place;
+        write!(f, "Robot({}/{})", place.fleet, place.robot)
+    }
+}

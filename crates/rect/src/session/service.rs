@@ -1,0 +1,277 @@
+//! Implements services: receives requests and sends the replies.
+use std::{fmt, future::Future, sync::Arc, time::Duration};
+
+use rect_core::{
+    driver::Answer,
+    message::{
+        payload::{Payload, ToPayload},
+        queue::{Queue, WhenFull},
+        request::error_to_payload,
+    },
+    name::{topic::Topic, Name},
+    session::service::{busy, Requester, CAPACITY, MAX_CONCURRENT},
+};
+use tokio::{sync::Semaphore, task::JoinHandle, time::Instant};
+use zenoh::{
+    bytes::ZBytes,
+    query::{Query, Queryable},
+    Wait,
+};
+
+use super::{
+    decoder::Decoder,
+    queries,
+    receive_queue::{QueueWriter, ReceiveQueue},
+    robot::Robot,
+};
+use crate::error::Error;
+
+/// Receives the requests to a service; created by [`Robot::requests`]. Dropping it ends the service.
+pub struct Requests {
+    queue: Arc<ReceiveQueue<Request>>,
+    decoder: Arc<Decoder>,
+    _declared: Queryable<()>,
+}
+
+/// A service that replies with a function; created by [`Robot::serve`]. Dropping it ends the service.
+#[derive(Debug)]
+pub struct Service {
+    task: JoinHandle<()>,
+}
+
+/// A request to a service of this program. If it is dropped without a reply, the requester gets [`Error::NoService`].
+pub struct Request {
+    query: Query,
+    me: Name,
+    key: String,
+    /// The robot that the request names as its sender; `None` if a stock Zenoh program sent it. Zenoh does not verify the
+    /// name: do not base permissions on it.
+    pub sender: Option<Name>,
+    /// The value of the request.
+    pub payload: Payload,
+    /// The time of arrival plus the requester's timeout, or plus 10 s if a stock Zenoh program sent the request.
+    pub deadline: Instant,
+}
+
+impl Robot {
+    /// Declares the service `topic`, which other robots use with [`request`](Robot::request), and returns its requests. Only
+    /// the requester receives the reply.
+    ///
+    /// ```no_run
+    /// # async fn serve(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let requests = robot.requests("battery").await?;
+    /// while let Some(request) = requests.next().await {
+    ///     request.reply(rect::Json(11.9))?;
+    /// }
+    /// # Ok(()) }
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Topic`] if the topic is invalid, and [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// The call is complete when its future is polled for the first time, which `.await` does.
+    pub async fn requests<T: TryInto<Topic>>(&self, topic: T) -> Result<Requests, Error>
+    where
+        Error: From<T::Error>,
+    {
+        let place = self.inner.place.clone();
+        let key = place.publication(&topic.try_into()?);
+        let queue = ReceiveQueue::new(Queue::new(CAPACITY, WhenFull::DropNewest));
+        let writer = QueueWriter::new(&queue);
+        let key_of_answers = key.clone();
+        let on_query = move |query: Query| {
+            let request = Request::new(query, place.robot.clone(), key_of_answers.clone());
+            let query = request.query.clone();
+            if !writer.push(request) {
+                queries::answer(&query, Answer::Error(busy(&place.robot)));
+            }
+        };
+        let declared = self
+            .inner
+            .session
+            .declare_queryable(key)
+            .complete(true)
+            .callback(on_query)
+            .wait()
+            .map_err(Error::zenoh("cannot declare the service"))?;
+        Ok(Requests {
+            queue,
+            decoder: self.inner.decoder.clone(),
+            _declared: declared,
+        })
+    }
+
+    /// Declares the service `topic`, and replies to each request with the result of `answer`, until the returned
+    /// service is dropped. An error, or a panic of `answer`, arrives at the requester as [`Error::Service`].
+    ///
+    /// Up to 16 requests are processed concurrently. A request whose [deadline](Request::deadline) has passed while it
+    /// waited is dropped.
+    ///
+    /// ```no_run
+    /// # async fn serve(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let _service = robot.serve("double", |request| async move {
+    ///     let number: f64 = request.payload.value().map_err(|error| error.to_string())?;
+    ///     Ok::<_, String>(rect::Json(number * 2.0))
+    /// }).await?;
+    /// # Ok(()) }
+    /// ```
+    ///
+    /// # Errors
+    /// Returns the same errors as [`requests`](Self::requests).
+    ///
+    /// # Cancel safety
+    /// The call is complete when its future is polled for the first time, which `.await` does.
+    pub async fn serve<T, F, A, V, E>(&self, topic: T, answer: F) -> Result<Service, Error>
+    where
+        T: TryInto<Topic>,
+        Error: From<T::Error>,
+        F: Fn(Arc<Request>) -> A + Send + Sync + 'static,
+        A: Future<Output = Result<V, E>> + Send,
+        V: ToPayload + Send,
+        E: ToPayload + Send,
+    {
+        let requests = self.requests(topic).await?;
+        let answer = Arc::new(answer);
+        let permits = Arc::new(Semaphore::new(MAX_CONCURRENT));
+        let task = self.inner.runtime.spawn(async move {
+            let mut working = tokio::task::JoinSet::new();
+            while let Some(request) = requests.next().await {
+                let Ok(permit) = permits.clone().acquire_owned().await else {
+                    return;
+                };
+                while working.try_join_next().is_some() {}
+                if request.remaining().is_zero() {
+                    continue;
+                }
+                let answer = answer.clone();
+                working.spawn(async move {
+                    let request = Arc::new(request);
+                    let _on_panic = RefusesOnPanic(request.clone());
+                    let sent = match answer(request.clone()).await {
+                        Ok(value) => request.reply(value),
+                        Err(error) => request.refuse(error),
+                    };
+                    if let Err(error) = sent {
+                        tracing::warn!(
+                            "cannot send a reply of the service {}: {error}",
+                            request.key
+                        );
+                        // Without any reply the requester would get the error that the service does not exist.
+                        let _ = request.refuse(error.to_string());
+                    }
+                    drop(permit);
+                });
+            }
+        });
+        Ok(Service { task })
+    }
+}
+
+impl Requests {
+    /// Waits for the next request; returns `None` once the session is closed. A request whose payload cannot be decoded
+    /// is refused with the reason.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, no request is lost: the next call returns it.
+    pub async fn next(&self) -> Option<Request> {
+        loop {
+            // Decoding may wait for a dictionary, and the program may drop the future meanwhile.
+            let mut popped = self.queue.pop_guarded().await?;
+            let request = popped.item()?;
+            let from = request.sender.as_ref().unwrap_or(&request.me);
+            let decoded = self.decoder.decode(from, &mut request.payload).await;
+            let request = popped.take()?;
+            match decoded {
+                Ok(()) => return Some(request),
+                Err(error) => {
+                    let _ = request.refuse(error.to_string());
+                }
+            }
+        }
+    }
+}
+
+impl fmt::Debug for Requests {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Requests").finish_non_exhaustive()
+    }
+}
+
+impl Drop for Requests {
+    fn drop(&mut self) {
+        self.queue.close();
+    }
+}
+
+/// Replies with an error if the service's function panics.
+struct RefusesOnPanic(Arc<Request>);
+
+impl Drop for RefusesOnPanic {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            let _ = self.0.refuse("the service's function panicked");
+        }
+    }
+}
+
+impl Drop for Service {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+impl Request {
+    fn new(query: Query, me: Name, key: String) -> Self {
+        let attachment = query.attachment().map(ZBytes::to_bytes);
+        let requester = Requester::of(attachment.as_deref());
+        Self {
+            me,
+            key,
+            sender: requester.robot,
+            payload: queries::payload_of(&query),
+            deadline: Instant::now() + requester.timeout,
+            query,
+        }
+    }
+
+    /// Returns the time left until the [deadline](Self::deadline).
+    pub fn remaining(&self) -> Duration {
+        self.deadline.saturating_duration_since(Instant::now())
+    }
+
+    /// Sends a reply. A service may reply several times to one request.
+    ///
+    /// # Errors
+    /// [`Error::Payload`] if the value cannot be serialized, and [`Error::Closed`] if the session is closed.
+    pub fn reply(&self, value: impl ToPayload) -> Result<(), Error> {
+        let payload = value.into_payload()?.sendable()?;
+        let reply = self.query.reply(&self.key, payload.bytes);
+        let reply = reply.encoding(payload.encoding.as_str()).wait();
+        reply.map_err(Error::zenoh("cannot send the reply"))
+    }
+
+    /// Replies with an error, which the requester receives as [`Error::Service`].
+    ///
+    /// # Errors
+    /// Returns the same errors as [`reply`](Self::reply).
+    pub fn refuse(&self, error: impl ToPayload) -> Result<(), Error> {
+        let error = error_to_payload(&self.me, error.into_payload()?.sendable()?);
+        reply_error(&self.query, error).map_err(Error::zenoh("cannot send the reply"))
+    }
+}
+
+fn reply_error(query: &Query, error: Payload) -> zenoh::Result<()> {
+    let reply = query.reply_err(error.bytes);
+    reply.encoding(error.encoding.as_str()).wait()
+}
+
+impl fmt::Debug for Request {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Request")
+            .field("key", &self.key)
+            .field("sender", &self.sender)
+            .field("payload", &self.payload)
+            .finish_non_exhaustive()
+    }
+}

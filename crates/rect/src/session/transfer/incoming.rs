@@ -1,0 +1,85 @@
+//! Defines [`Transfers`], through which a program receives transfers.
+use std::{fmt, fs, sync::Arc, time::SystemTime};
+
+use rect_core::{
+    name::{key::KeySpace, topic::Pattern},
+    storage::Store,
+    transfer::admission::AdmissionRules,
+};
+use tokio::{
+    runtime::Handle,
+    sync::{
+        mpsc::{self, Receiver},
+        Mutex,
+    },
+};
+use zenoh::Session;
+
+use super::{
+    options::{Destination, ReceiveOptions},
+    received::Received,
+    receiving::Reception,
+};
+use crate::error::Error;
+
+/// Receives transfers; created by [`Robot::receive_transfers`](crate::Robot::receive_transfers).
+///
+/// Dropping it stops receiving. Incomplete transfers are kept only if they are received into a folder.
+pub struct Transfers {
+    ended: Mutex<Receiver<Result<Received, Error>>>,
+    receiving: Arc<Reception>,
+}
+
+impl Transfers {
+    pub(super) fn start(
+        session: Session,
+        place: KeySpace,
+        runtime: Handle,
+        pattern: Pattern,
+        options: ReceiveOptions,
+    ) -> Result<Self, Error> {
+        if let Destination::Folder(folder) = &options.destination {
+            fs::create_dir_all(folder).map_err(|reason| Error::File {
+                path: folder.clone(),
+                reason,
+            })?;
+            Store::clean(folder, SystemTime::now());
+        }
+        let (ended, waiting) = mpsc::channel(options.max_concurrent);
+        let rules = AdmissionRules {
+            pattern,
+            max_bytes: options.max_bytes,
+            max_concurrent: options.max_concurrent,
+        };
+        Ok(Self {
+            receiving: Reception::start(session, place, runtime, rules, options, ended)?,
+            ended: Mutex::new(waiting),
+        })
+    }
+
+    /// Waits for the next transfer that ends, and returns it; returns `None` once the session is closed.
+    ///
+    /// # Errors
+    /// [`Error::TransferFailed`] if the transfer failed. Further calls return the other transfers.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, no transfer is lost: the next call returns it.
+    pub async fn next(&self) -> Option<Result<Received, Error>> {
+        self.ended.lock().await.recv().await
+    }
+}
+
+impl Drop for Transfers {
+    fn drop(&mut self) {
+        self.receiving.stop();
+        if let Ok(mut ended) = self.ended.try_lock() {
+            ended.close();
+        }
+    }
+}
+
+impl fmt::Debug for Transfers {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Transfers")
+    }
+}

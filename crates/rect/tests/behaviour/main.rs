@@ -1,0 +1,12 @@
+//! Tests what programs observe of the library, with robots in one process: `cargo test -p rect-robot --test behaviour`
+#[path = "../pair/mod.rs"]
+mod pair;
+
+mod blocked_link;
+mod blocking;
+mod codec;
+mod joining;
+mod request;
+mod session;
+mod state;
+mod udp;
