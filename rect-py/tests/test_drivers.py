@@ -1,4 +1,4 @@
-"""Runs the scenarios of the core's drivers, which Rust runs, too (`cargo test -p rect-core drivers`), through the native module.
+"""Runs the scenarios of the core's drivers, which Rust runs, too (`cargo test -p rect-core`), in the native module.
 
 pytest rect-py/tests/test_drivers.py
 """

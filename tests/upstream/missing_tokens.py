@@ -1,8 +1,8 @@
 """Reproduces a fault of Zenoh 1.10.2's sessions with stock parts only: a liveliness query that directly follows the
 declaration of a liveliness subscriber with history gets no reply. usage: ZENOHD=<stock zenohd> python missing_tokens.py
 
-The same query is answered if it comes first, or a moment later. `PeersQuery` in `crates/rect-core/src/session/peers.rs` therefore asks
-twice. Exit status: 0 if the fault exists, otherwise 1."""
+The same query is answered if it comes first, or a moment later. `PeersQuery` in
+`crates/rect-core/src/session/peers.rs` therefore asks twice. Exit status: 0 if the fault exists, otherwise 1."""
 
 import os
 import subprocess

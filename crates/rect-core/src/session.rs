@@ -1,5 +1,5 @@
 //! Makes the decisions of a session: how a program joins its router, which robots are reachable, and how messages are
-//! published, requested and decoded. What takes more than one call to Zenoh is a [`Driver`](crate::driver::Driver).
+//! published, requested and decoded. A [`Driver`](crate::driver::Driver) decides about an operation of several calls.
 pub mod decoder;
 pub mod endpoint;
 pub mod inquiry;
