@@ -1,11 +1,12 @@
 //! Decodes untrusted messages and stored records of transfers. A decoded offer, answer, fault, request or record must
 //! encode to the same bytes.
-#![no_main]
-use libfuzzer_sys::fuzz_target;
 use rect_core::transfer::{offer, record::{self, Record}, Answer, Fault, Offer, Request, MAX_PIECE_BYTES};
 
-fuzz_target!(|input: (u8, &[u8])| {
-    let (kind, bytes) = input;
+/// Runs the target on one input.
+pub fn run(input: &[u8]) {
+    let Some((kind, bytes)) = input.split_first() else {
+        return;
+    };
     match kind % 5 {
         0 => {
             if let Ok(offer) = Offer::decode(bytes) {
@@ -46,4 +47,4 @@ fuzz_target!(|input: (u8, &[u8])| {
             }
         }
     }
-});
+}

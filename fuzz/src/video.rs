@@ -1,12 +1,10 @@
 //! Decodes untrusted video. No frame may make the decoder panic or exceed its limits, and after a damaged one it continues with
 //! the next key frame. The input is a frame, or changes of the bytes of a valid video.
-#![no_main]
 use std::{
     sync::OnceLock,
     time::{Duration, Instant},
 };
 
-use libfuzzer_sys::fuzz_target;
 use rect_core::{codec::{Limits, picture::{Format, Picture}}, video::{bitstream::{is_key_frame, units, Parameters}, Decoder, Encoder, Settings}};
 
 const LIMITS: Limits = Limits {
@@ -48,7 +46,8 @@ fn check(decoder: &mut Decoder, frame: &[u8]) {
     }
 }
 
-fuzz_target!(|data: &[u8]| {
+/// Runs the target on one input.
+pub fn run(data: &[u8]) {
     let mut decoder = Decoder::default();
     let Some((&form, rest)) = data.split_first() else {
         return;
@@ -73,4 +72,4 @@ fuzz_target!(|data: &[u8]| {
         last = decoder.decode(frame, &LIMITS).expect("valid");
     }
     assert!(last.is_some());
-});
+}

@@ -1,12 +1,11 @@
 //! Decodes untrusted SDUs of an open link. With a correct check value, an SDU must be rejected or encode to the same
 //! bytes. Without the keys, nothing opens.
-#![no_main]
 use std::convert::Infallible;
 
-use libfuzzer_sys::fuzz_target;
 use link_lanes::{lanes::{batch_kind::BatchKind, sdu::Protection}, seal::LinkKeys};
 
-fuzz_target!(|sdu: &[u8]| {
+/// Runs the target on one input.
+pub fn run(sdu: &[u8]) {
     let _ = Protection::checks().into.open(&mut sdu.to_vec());
     let _ = BatchKind::of(sdu);
     let keys = |own, of_peer| Protection::keys(LinkKeys::new([own; 32], [of_peer; 32]));
@@ -21,4 +20,4 @@ fuzz_target!(|sdu: &[u8]| {
             assert_eq!(content.encode(), sdu);
         }
     }
-});
+}

@@ -1,9 +1,7 @@
 //! Feeds a link over several paths with frames of any content, on two paths: its memory stays bounded, and everything that it
 //! sends can be decoded.
-#![no_main]
 use std::time::{Duration, Instant};
 
-use libfuzzer_sys::fuzz_target;
 use zenoh_link_any::{
     frame::{self, Frame},
     multipath::{Bounds, Multipath, Options, Violation},
@@ -22,7 +20,8 @@ const OPTIONS: Options = Options {
     lease: Duration::from_secs(10),
 };
 
-fuzz_target!(|input: &[u8]| {
+/// Runs the target on one input.
+pub fn run(input: &[u8]) {
     let mut now = Instant::now();
     let mut link = Multipath::new(OPTIONS, now);
     let mut paths = vec![
@@ -71,4 +70,4 @@ fuzz_target!(|input: &[u8]| {
             }
         }
     }
-});
+}

@@ -1,10 +1,12 @@
 //! Parses untrusted locators of a user, a file or a peer. An accepted locator must respect the limits of its options.
-#![no_main]
-use libfuzzer_sys::fuzz_target;
 use zenoh_link_ble::locator::{ConnectLocator, ListenLocator};
 use zenoh_protocol::core::EndPoint;
 
-fuzz_target!(|text: &str| {
+/// Runs the target on one input.
+pub fn run(input: &[u8]) {
+    let Ok(text) = std::str::from_utf8(input) else {
+        return;
+    };
     let Ok(endpoint) = format!("ble/{text}").parse::<EndPoint>() else {
         return;
     };
@@ -14,4 +16,4 @@ fuzz_target!(|text: &str| {
     if let Ok(locator) = ListenLocator::parse(&endpoint) {
         assert!(locator.max_links >= 1 && !locator.name().is_empty());
     }
-});
+}

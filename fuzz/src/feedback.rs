@@ -1,12 +1,11 @@
 //! Decodes untrusted notices and feedback of streams. A decoded message must encode to the same value, and feedback
 //! must not move the sender's rates beyond its limits.
-#![no_main]
 use std::time::{Duration, Instant};
 
-use libfuzzer_sys::fuzz_target;
 use rect_core::{message::{encoding::Encoding, payload::Payload}, name::Name, stream::{feedback::{Feedback, MAX_BYTES}, notice::Notice, sender::{Options, Sender}, Group}};
 
-fuzz_target!(|input: &[u8]| {
+/// Runs the target on one input.
+pub fn run(input: &[u8]) {
     if let Ok(notice) = Notice::decode(input) {
         assert_eq!(Notice::decode(&notice.encode()).ok(), Some(notice));
     }
@@ -32,4 +31,4 @@ fuzz_target!(|input: &[u8]| {
             assert!((limits.min_bytes_per_s..=limits.max_bytes_per_s).contains(&group.bytes_per_s));
         }
     }
-});
+}

@@ -1,14 +1,13 @@
 //! Decodes untrusted attachments and keys. A decoded attachment must encode to the same value; a message key must equal
 //! the key that its sender builds from the decoded address.
-#![no_main]
-use libfuzzer_sys::fuzz_target;
 use rect_core::{message::attachment::{Attachment, MAX_BYTES}, name::{key::KeySpace, Name, topic::Pattern}};
 
 fn name(text: &str) -> Name {
     Name::new(text).expect("a name")
 }
 
-fuzz_target!(|bytes: &[u8]| {
+/// Runs the target on one input.
+pub fn run(bytes: &[u8]) {
     if let Some(attachment) = Attachment::decode(bytes) {
         let again = attachment.encode();
         assert!(again.len() <= MAX_BYTES);
@@ -35,4 +34,4 @@ fuzz_target!(|bytes: &[u8]| {
     if let Ok(pattern) = Pattern::new(text) {
         assert_eq!(Pattern::new(&pattern.to_string()), Ok(pattern));
     }
-});
+}

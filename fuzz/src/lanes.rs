@@ -1,13 +1,11 @@
 //! Runs two ends of a link through any sequence of events: batches are pushed and taken, SDUs are exchanged, and a
 //! rogue peer sends anything. An honest pair must deliver each lane in order; the memory in use must be bounded in any
 //! case.
-#![no_main]
 use std::{
     convert::Infallible,
     time::{Duration, Instant},
 };
 
-use libfuzzer_sys::fuzz_target;
 use link_lanes::{lanes::{receiver::HIGH_WATERMARK, scheduler::{Bounds, RESERVED_BYTES_PER_LANE}, sdu::{Content, Protection, Sealer}, Lane, Lanes, LANES}, seal::LinkKeys};
 
 /// Largest batch, in bytes.
@@ -140,7 +138,8 @@ fn sent(lanes: &mut Lanes, now: Instant) -> Option<Vec<u8>> {
     taken
 }
 
-fuzz_target!(|events: &[u8]| {
+/// Runs the target on one input.
+pub fn run(events: &[u8]) {
     let (is_encrypted, events) = match events.split_first() {
         Some((first, events)) => (first & 1 == 1, events),
         None => return,
@@ -174,4 +173,4 @@ fuzz_target!(|events: &[u8]| {
             return;
         }
     }
-});
+}
