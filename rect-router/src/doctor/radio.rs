@@ -83,7 +83,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::x::x::Verdict;
+    use crate::doctor::Verdict;
 
     fn link(name: Option<&str>, rssi_dbm: i64) -> Value {
         json!({

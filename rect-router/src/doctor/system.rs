@@ -221,7 +221,7 @@ fn debian_package(version: &str) -> Option<&str> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::x::x::Verdict;
+    use crate::doctor::Verdict;
 
     /// Returns the findings on a healthy computer with these files changed.
     fn computer(files: &[(&str, &str)]) -> Vec<Finding> {
