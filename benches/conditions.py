@@ -15,7 +15,7 @@ from table import Table
 from traffic import percentile
 from zenoh import CongestionControl
 
-#: The share of packets with 251 bytes that each condition of the air loses (crates/zenoh-link-ble-air/src/condition.rs).
+#: The share of packets with 251 bytes that each condition of the air loses (condition.rs in crates/zenoh-link-ble-air).
 CONDITIONS = {"desk": 0.0, "room": 0.01, "wall": 0.1, "crowded-hall": 0.2, "edge-of-range": 0.4}
 MESSAGE_BYTES = 200
 EVERY_S = 0.05

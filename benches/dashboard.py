@@ -20,9 +20,8 @@ from traffic import percentile
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "dashboard"))
 
-from serving import dashboard, launched, list_topics
-
 from recording import processor_ms
+from serving import dashboard, launched, list_topics
 
 SECONDS = 60
 TOPICS, TOPICS_HZ = 20, 10

@@ -10,7 +10,6 @@ import tempfile
 from pathlib import Path
 
 from pages import Block, Page, read
-
 from session import Session
 
 

@@ -78,7 +78,6 @@ def test_commands_do_what_the_page_says(name: str, tmp_path: Path) -> None:
 
 if __name__ == "__main__":
     from run_page import run
-
     from session import Session
 
     subprocess.run(["ip", "link", "set", "lo", "up"], check=True)

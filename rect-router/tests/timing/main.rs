@@ -1,4 +1,4 @@
-//! Tests that measure time. Nothing should run beside them, so that the bounds mean what they say; `make test` runs them
+//! Tests that measure time. Nothing should run beside them, so that their bounds are fair; `make test` runs them
 //! alone, one after the other: `cargo test -p rect-router --test timing -- --test-threads 1`
 
 #[path = "../support/mod.rs"]
