@@ -18,6 +18,7 @@ use std::{
 
 use crate::support::{free_socket, program, text_of, DEADLINE};
 use nix::unistd::geteuid;
+use zenoh_link_ble_air::SOCKET_VARIABLE;
 
 /// ID of a user other than root: the system's `nobody`.
 const NOBODY: u32 = 65534;
@@ -46,6 +47,8 @@ impl Installation {
     fn command(&self, program: &Path) -> Command {
         let mut command = Command::new(program);
         command.current_dir(&self.folder).env_remove("RUST_LOG");
+        // No air runs there, so that no robot of another test is in range.
+        command.env(SOCKET_VARIABLE, self.folder.join("air.sock"));
         if let Some(path) = &self.path {
             let others = std::env::var("PATH").unwrap_or_default();
             command.env("PATH", format!("{}:{others}", path.display()));
