@@ -41,7 +41,6 @@ let
         ../../crates
         ../../examples
         ../../tests
-        ../../crates
         ../../zenoh-link-ble
         ../../rect-router
         ../../rect-cpp
