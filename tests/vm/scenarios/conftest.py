@@ -12,6 +12,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3] / "examples" / "demo"
 from robots import Collector, Robot, wait_until
 
 
+def pytest_configure(config: pytest.Config) -> None:
+    config.addinivalue_line("markers", "few: what `make test` runs, because the emulated computer is slow")
+
+
 def guest(*command: str) -> str:
     """Runs one of `tests/vm/guest`'s helpers."""
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)

@@ -30,6 +30,7 @@ def pair(robots) -> tuple[Robot, Robot]:
     return one, two
 
 
+@pytest.mark.few
 def test_dials_by_name_and_exchanges_messages(robots):
     one, two = pair(robots)
     with one.session() as here, two.session() as there:
@@ -98,6 +99,7 @@ def keys() -> dict[str, list[str]]:
     return {file: lines for file, lines in keys.items() if lines}
 
 
+@pytest.mark.few
 @pytest.mark.parametrize("bytes_per_s", [100_000, 0])
 def test_delivers_a_megabyte_intact(robots, bytes_per_s):
     one, two = pair(robots)
@@ -112,6 +114,7 @@ def test_delivers_a_megabyte_intact(robots, bytes_per_s):
         limit_rate(0)
 
 
+@pytest.mark.few
 @pytest.mark.parametrize("bytes_per_s", [100_000, 0])
 def test_frozen_receiver_loses_no_messages(robots, bytes_per_s):
     one, two = pair(robots)
@@ -261,6 +264,7 @@ def test_listens_and_dials_after_bluetoothd_restart(robots):
     wait_until("the two are linked", 60, lambda: linked(one, two))
 
 
+@pytest.mark.few
 def test_two_robots_that_dial_each_other_make_one_link(robots):
     one, two = robots(2)
     for _ in range(5):
