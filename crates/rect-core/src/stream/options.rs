@@ -15,9 +15,9 @@ const ALLOWED_FRAMES_PER_S: &str = "0.01 to 1000000 frames per second";
 ///
 /// ```
 /// use rect_core::stream::sender::Options;
-/// let options = StreamOptions {
+/// let options = Options {
 ///     max_frames_per_s: 30.0,
-///     ..StreamOptions::default()
+///     ..Options::default()
 /// };
 /// assert_eq!(options.min_frames_per_s, 5.0);
 /// ```
