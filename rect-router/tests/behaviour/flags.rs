@@ -155,7 +155,7 @@ fn stock_zenohd_has_the_same_configuration_for_each_flag() {
     let zenohd = cache().join("stock-zenohd/bin/zenohd");
     if !zenohd.exists() {
         return skip(&format!(
-            "no {}; run scripts/build-for-tests",
+            "no {}; run scripts/build-stock-zenohd",
             zenohd.display()
         ));
     }

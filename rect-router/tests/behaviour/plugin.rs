@@ -1,5 +1,5 @@
-//! Tests of RECT as a plugin of an unmodified zenohd, on the simulated air. `scripts/build-for-tests` builds
-//! both: `cargo test --profile checked -p rect-router --test behaviour plugin`.
+//! Tests of RECT as a plugin of an unmodified zenohd, on the simulated air. `scripts/build-for-tests` builds the plugin, and
+//! `scripts/build-stock-zenohd` the zenohd: `scripts/test zenohds stock`.
 
 use std::path::PathBuf;
 

@@ -118,7 +118,7 @@ fn idle_heap_and_stacks_are_at_most_1400_kb_above_those_of_a_stock_zenohd() {
     let stock = cache().join("stock-zenohd/bin/zenohd");
     if !stock.exists() {
         return skip(&format!(
-            "no {}; run scripts/build-for-tests",
+            "no {}; run scripts/build-stock-zenohd",
             stock.display()
         ));
     }

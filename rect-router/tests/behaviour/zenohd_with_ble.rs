@@ -1,5 +1,5 @@
 //! Tests a published zenohd that was built with our links, which `scripts/build-stock-zenohd-with-ble` does:
-//! `scripts/test stock`, or `cargo test --profile checked -p rect-router --test behaviour zenohd_with_ble`.
+//! `scripts/test zenohds stock`, or `cargo test --profile checked -p rect-router --test behaviour zenohd_with_ble`.
 
 use std::time::{Duration, Instant};
 
