@@ -81,6 +81,7 @@ def test_bytes_that_wait_are_shown(page: Page, fleet: Fleet, dashboard: str) -> 
 
 def test_map_of_many_robots_shows_each_name(page: Page, dashboard: str) -> None:
     page.goto(dashboard)
+    expect(page.locator(".picture").first).to_be_attached()
     names, outside = page.evaluate("""async () => {
       const { drawMap } = await import("/assets/map.js");
       const figure = document.querySelector(".picture").cloneNode();
