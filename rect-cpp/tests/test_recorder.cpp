@@ -1,33 +1,11 @@
 // Tests recordings: their files, their counts, and what is refused.
 //
 //     build/default/tests/rect_tests -# '[#test_recorder]'
-#include <cstdlib>
 #include <filesystem>
 #include <fstream>
 
+#include "folder.hpp"
 #include "pair.hpp"
-
-namespace {
-
-// A new folder, which is removed at the end.
-class Folder {
-public:
-    Folder() {
-        auto name = (std::filesystem::temp_directory_path() / "rect-XXXXXX").string();
-        REQUIRE(mkdtemp(name.data()) != nullptr);
-        path_ = name;
-    }
-    ~Folder() { std::filesystem::remove_all(path_); }
-    Folder(const Folder&) = delete;
-    Folder& operator=(const Folder&) = delete;
-
-    std::string operator/(const char* name) const { return (path_ / name).string(); }
-
-private:
-    std::filesystem::path path_;
-};
-
-}  // namespace
 
 TEST_CASE("a program records what its robot publishes") {
     Folder folder;

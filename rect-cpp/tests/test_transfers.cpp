@@ -8,21 +8,10 @@
 #include <memory>
 #include <thread>
 
+#include "folder.hpp"
 #include "pair.hpp"
 
 namespace {
-
-// A temporary folder, deleted when this object is destroyed.
-struct Folder {
-    std::filesystem::path path;
-
-    Folder() {
-        std::string name = (std::filesystem::temp_directory_path() / "rect-XXXXXX").string();
-        REQUIRE(mkdtemp(name.data()) != nullptr);
-        path = name;
-    }
-    ~Folder() { std::filesystem::remove_all(path); }
-};
 
 rect::TransferOptions with_deadline() {
     rect::TransferOptions options;
@@ -53,13 +42,13 @@ TEST_CASE("bytes arrive completely, and progress is reported") {
 TEST_CASE("a file arrives as a file") {
     const Folder folder;
     Pair pair;
-    const auto file = folder.path / "map.bin";
+    const auto file = folder / "map.bin";
     std::ofstream(file) << std::string(100'000, 'f');
     rect::ReceiveOptions receive_options;
     receive_options.max_bytes = 1 << 20;
-    receive_options.folder = (folder.path / "received").string();
+    receive_options.folder = folder / "received";
     const auto transfers = must(pair.two.receive_transfers("*/files", receive_options));
-    must(pair.one.transfer("wombat-2", "files", rect::File{file.string()}, with_deadline()));
+    must(pair.one.transfer("wombat-2", "files", rect::File{file}, with_deadline()));
     const auto received = must(transfers.next(deadline));
     CHECK(received.name() == "map.bin");
     CHECK(std::filesystem::file_size(std::string(received.file())) == 100'000);
