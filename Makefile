@@ -17,7 +17,7 @@ test: ## Run the tests that every change must pass, in 25 minutes (JOBS="unit vm
 	@scripts/setup $(if $(JOBS),test-all,test)
 	@scripts/test $(JOBS)
 
-test-all: test ## Run all jobs of CI, in 45 minutes: make test, and then the rest (scripts/test --list lists both)
+test-all: test ## Run all jobs of CI, in an hour: make test, and then the rest (scripts/test --list lists both)
 	@scripts/setup test-all
 	@scripts/test --rest
 
