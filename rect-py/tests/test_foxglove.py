@@ -179,12 +179,26 @@ def test_viewer_shows_values_and_pictures(routers: Routers) -> None:
 
         shown.show("/wombat-1/arm/angle")
         assert shown.value("/wombat-1/arm/angle") == {"value": 12.5}
+        schema = json.loads(shown.channels["/wombat-1/arm/angle"]["schema"])
+        assert schema == {"type": "object", "properties": {"value": {"type": "number"}}}
 
         shown.show("/wombat-1/camera")
         picture = decoded(shown.message("/wombat-1/camera"), shown.channels["/wombat-1/camera"])
         assert (picture.data, picture.format) == (JPEG, "jpeg")
         assert shown.info["name"] == "RECT, fleet rect"
         assert "clientPublish" not in shown.info["capabilities"]
+
+
+def test_new_fields_of_a_topic_are_offered(routers: Routers) -> None:
+    with routers.connect("wombat-1") as robot, serving(routers) as address, viewer(address) as shown:
+        with repeating(0.1, lambda: robot.publish("found", {"detections": []})):
+            shown.show("/wombat-1/found")
+            assert shown.value("/wombat-1/found") == {"detections": []}
+        assert json.loads(shown.channels["/wombat-1/found"]["schema"])["properties"] == {}
+        with repeating(0.1, lambda: robot.publish("found", {"detections": [{"x": 1}], "depth": 1})):
+            while "depth" not in json.loads(shown.channels["/wombat-1/found"]["schema"])["properties"]:
+                shown.value("/wombat-1/found")
+            assert shown.value("/wombat-1/found") == {"detections": [{"x": 1}], "depth": 1}
 
 
 def decoded(message: bytes, channel: dict[str, Any]) -> Any:

@@ -151,6 +151,19 @@ def test_topics_are_listed_shown_and_plotted(page: Page, fleet: Fleet, dashboard
         assert all(0 <= float(row["angle"]) < 10 for row in rows)
 
 
+def test_array_of_numbers_is_shown_and_plotted(page: Page, fleet: Fleet, dashboard: str) -> None:
+    def array(number: int) -> Any:
+        return numpy.array([number, 0.5, numpy.nan], numpy.float32)
+
+    with fleet.program(1) as robot, repeat(robot, "ranges", array):
+        page.goto(f"{dashboard}/#topics")
+        page.get_by_role("button", name="wombat-2/ranges").click()
+        expect(page.locator(".tree")).to_contain_text("2: NaN")
+        expect(page.locator(".plot canvas")).to_be_visible()
+        for series in ("0", "1"):
+            expect(page.get_by_role("group", name="Series").get_by_label(series, exact=True)).to_be_checked()
+
+
 def test_values_are_published_sent_and_requested(page: Page, fleet: Fleet, dashboard: str) -> None:
     with (
         fleet.program(1) as robot,
