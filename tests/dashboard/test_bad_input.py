@@ -10,6 +10,7 @@ import subprocess
 import time
 import urllib.error
 import urllib.request
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
@@ -230,6 +231,63 @@ def test_flood_of_commands_is_limited(dashboard: str) -> None:
             )
         while "at most 64 topics" not in state(connection, "answer")["error"]:
             pass
+
+
+def http(dashboard: str, start: str, *headers: str) -> bytes:
+    lines = [f"{start} HTTP/1.1", f"Host: {dashboard.removeprefix('http://')}", *headers, "", ""]
+    return "\r\n".join(lines).encode()
+
+
+@pytest.mark.parametrize("kind", ["silent", "without its body", "not reading"])
+def test_connections_that_do_nothing_keep_nobody_out(dashboard: str, kind: str) -> None:
+    form = ("Content-Type: application/x-www-form-urlencoded", "Content-Length: 1000")
+    sent = {
+        "silent": b"",
+        "without its body": http(dashboard, "POST /login", f"Origin: {dashboard}", *form),
+        "not reading": http(dashboard, "GET /assets/uPlot.iife.min.js") * 100,
+    }[kind]
+    address, port = dashboard.removeprefix("http://").split(":")
+    with ExitStack() as connections:
+        for _ in range(200):
+            connection = connections.enter_context(socket.create_connection((address, int(port))))
+            # It may have been closed already.
+            with suppress(OSError):
+                connection.sendall(sent)
+        assert request(dashboard)[0] == 200
+        with socket_of(dashboard) as browser:
+            assert state(browser, "hello")["robot"] == "wombat-1"
+
+
+def test_changes_on_this_computer_require_the_robots_login(page: Page, fleet: Fleet, tmp_path: Path) -> None:
+    users = tmp_path / "users"
+    users.write_text("team:our secret\n")
+    with fleet.dashboard("--users", str(users), "--stop", "stop") as url:
+        page.goto(f"{url}/#connections")
+        expect(page.locator(".condition")).to_have_text("live")
+        form = page.get_by_role("form", name="Add a connection")
+        expect(form).to_have_count(0)
+        connection = {"name": "base", "method": "tcp", "address": "127.0.0.1", "port": 9}
+        with socket_of(url) as browser:
+            for number, (fields, problem) in enumerate(
+                [
+                    ({"type": "publish", "to": None, "topic": "x", "value": "1", "urgent": False}, "require a login"),
+                    ({"type": "connect", "robot": "wombat-1", "connection": connection}, "require a login"),
+                    ({"type": "disconnect", "robot": "wombat-1", "name": "base"}, "require a login"),
+                    ({"type": "stop", "again": False}, None),
+                ],
+                start=1,
+            ):
+                error = command(browser, id=number, **fields)["error"]
+                assert (problem in error) if problem else error is None, (fields, error)
+        page.get_by_role("button", name="Log in").click()
+        page.get_by_label("User").fill("team")
+        page.get_by_label("Password").fill("our secret")
+        page.get_by_role("button", name="Log in").click()
+        expect(page.locator(".condition")).to_have_text("live")
+        page.goto(f"{url}/#connections")
+        expect(form).to_be_visible()
+        page.get_by_role("button", name="Log out").click()
+        expect(page.get_by_role("button", name="Log in")).to_be_visible()
 
 
 def test_login_is_required_limited_and_ends(page: Page, fleet: Fleet, tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ use rect_recording::view;
 use serde_json::{json, Value};
 
 use crate::{
+    login::Access,
     protocol::{Command, ConnectionForm},
     App,
 };
@@ -39,11 +40,14 @@ pub fn id_of(command: &Command) -> u32 {
 ///
 /// # Errors
 /// Fails with what the user of the page reads.
-pub async fn execute(app: &App, command: Command) -> Answer {
+pub async fn execute(app: &App, command: Command, access: Access) -> Answer {
     // A stop is always permitted to those who see the page, because somebody may be in danger.
     let changes_nothing = matches!(command, Command::Stop { .. } | Command::Check { .. });
-    if app.read_only && !changes_nothing {
-        return Err("this dashboard only shows: it was started with --read-only".to_owned());
+    if access < Access::Change && !changes_nothing {
+        return Err(match app.read_only {
+            true => "this dashboard only shows: it was started with --read-only".to_owned(),
+            false => "changes require a login: log in with one of the team's login file".to_owned(),
+        });
     }
     match command {
         Command::Publish {

@@ -8,6 +8,7 @@ mod fleet;
 mod guard;
 mod login;
 mod outbox;
+pub mod permits;
 pub mod plot;
 mod protocol;
 mod recording;
@@ -49,12 +50,23 @@ pub struct Settings {
     pub read_only: bool,
     /// The file of the logins that browsers need. `None`: they need none.
     pub logins: Option<PathBuf>,
+    /// What browsers need a login for.
+    pub login_for: LoginFor,
     /// The certificate and its private key, two files in PEM. `None`: the connections are not encrypted.
     pub certificate: Option<(PathBuf, PathBuf)>,
     /// The host names that browsers may use, besides those of this computer.
     pub names: Vec<String>,
     /// The sites whose pages may contain parts of the dashboard.
     pub embed_in: Vec<String>,
+}
+
+/// What browsers need a login for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LoginFor {
+    /// For everything. The login file has to exist.
+    Everything,
+    /// For changes. Without a login file, the robot's router requires no login either, and browsers need none.
+    Changes,
 }
 
 /// A dashboard that listens, and accepts no browser yet.
@@ -165,13 +177,17 @@ fn protection(settings: &Settings) -> Result<Protection, Failure> {
         Some((certificate, key)) => Some(server::tls(certificate, key)?),
         None => None,
     };
-    let logins = settings.logins.as_deref().map(Logins::read).transpose();
-    let logins = logins.map_err(|error| {
-        format!("beyond this computer, the dashboard requires a login: {error}. Name the team's login file with --logins")
-    })?;
+    let logins = match (&settings.logins, settings.login_for) {
+        (None, _) => None,
+        (Some(file), LoginFor::Changes) => Logins::read(file).ok(),
+        (Some(file), LoginFor::Everything) => Some(Logins::read(file).map_err(|error| {
+            format!("beyond this computer, the dashboard requires a login: {error}. Name the team's login file with --logins")
+        })?),
+    };
     Ok(Protection {
         guard: Guard::new(&settings.names, &settings.embed_in, tls.is_some())?,
         logins,
+        login_for: settings.login_for,
         tls,
     })
 }

@@ -10,7 +10,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 /// The version of these messages. A page of another version reloads itself.
-pub const VERSION: u32 = 3;
+pub const VERSION: u32 = 4;
 /// The kind of a message that contains a [`State`].
 pub const STATE: u8 = 1;
 /// The kind of a message that contains a value of a topic.
@@ -140,8 +140,8 @@ pub enum State<'a> {
         fleet: &'a str,
         /// Whether the page may only look.
         read_only: bool,
-        /// Whether there is a login, and so a logout.
-        login: bool,
+        /// Whether the browser has logged in; `None` if there are no logins.
+        logged_in: Option<bool>,
         /// The service of the Stop button.
         stop: Option<&'a str>,
         /// Whether recordings can be made.
