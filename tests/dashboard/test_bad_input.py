@@ -16,6 +16,7 @@ from pathlib import Path
 import pytest
 import rect
 import websockets.sync.client as client
+import zenoh
 from conftest import Fleet
 from playwright.sync_api import Page, expect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -216,6 +217,32 @@ def send_frame(connection: socket.socket, fields: dict) -> None:
     assert len(text) < 126
     # The mask is all zeroes.
     connection.sendall(bytes([0x81, 0x80 | len(text), 0, 0, 0, 0]) + text)
+
+
+def test_robot_confirms_a_stop_once(dashboard: str, fleet: Fleet) -> None:
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([fleet.endpoint(1)]))
+    key = "rect/wombat-2/stop"
+
+    def confirm(query: zenoh.Query) -> None:
+        for _ in range(3000):
+            query.reply(key, b"stopped")
+
+    with zenoh.open(config) as program, socket_of(dashboard) as browser:
+        with program.declare_queryable(key, confirm):
+            assert command(browser, type="stop", id=1, again=False)["error"] is None
+            while "wombat-2" not in (confirmed := confirmed_by(state(browser, "stop"))):
+                pass
+            assert confirmed.count("wombat-2") == 1
+        assert command(browser, type="clear_stop", id=2)["error"] is None
+        with socket_of(dashboard) as later:
+            assert state(later, "stop")["run"] is None
+
+
+def confirmed_by(stop: dict) -> list[str]:
+    robots = stop["run"]["robots"] if stop["run"] else []
+    return [robot["robot"] for robot in robots if robot["outcome"] == "confirmed"]
 
 
 def test_flood_of_commands_is_limited(dashboard: str) -> None:

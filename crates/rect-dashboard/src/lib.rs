@@ -14,6 +14,7 @@ mod protocol;
 mod recording;
 mod server;
 mod socket;
+mod stop;
 pub mod topics;
 
 use std::{
@@ -28,7 +29,7 @@ use tokio::{net::TcpListener, time::interval};
 
 use self::{
     browsers::Browsers, feed::Feeds, guard::Guard, login::Logins, recording::Recording,
-    server::Protection,
+    server::Protection, stop::Stop,
 };
 
 /// How often the state of a recording is shown.
@@ -89,7 +90,7 @@ struct App {
     browsers: Arc<Browsers>,
     feeds: Feeds,
     recording: Option<Recording>,
-    stop: Option<Topic>,
+    stop: Option<Arc<Stop>>,
     read_only: bool,
 }
 
@@ -121,11 +122,13 @@ impl Dashboard {
         let at = self.listener.local_addr()?;
         let folder = self.settings.record.as_deref().map(writable).transpose()?;
         let is_tls = self.protection.tls.is_some();
+        let browsers = Arc::<Browsers>::default();
+        let stop = self.settings.stop;
         let app = Arc::new(App {
-            browsers: Arc::default(),
+            stop: stop.map(|service| Stop::new(robot.clone(), service, browsers.clone())),
+            browsers,
             feeds: Feeds::new(robot.clone()),
             recording: folder.map(|folder| Recording::new(robot.clone(), folder)),
-            stop: self.settings.stop,
             read_only: self.settings.read_only,
             robot,
         });
@@ -157,7 +160,13 @@ impl Serving {
     /// # Errors
     /// Fails if the session is closed already.
     pub async fn until_closed(self) -> Result<(), rect::Error> {
-        fleet::observe(self.app.robot.clone(), self.app.browsers.clone()).await
+        let App {
+            robot,
+            browsers,
+            stop,
+            ..
+        } = &*self.app;
+        fleet::observe(robot.clone(), browsers.clone(), stop.clone()).await
     }
 }
 

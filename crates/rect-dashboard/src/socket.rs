@@ -140,7 +140,7 @@ impl<F: Fn() -> Access> Browser<'_, F> {
             fleet: app.robot.fleet().as_str(),
             read_only: access < Access::Change,
             logged_in: is_logged_in,
-            stop: app.stop.as_ref().map(rect::Topic::as_str),
+            stop: app.stop.as_ref().map(|stop| stop.service().as_str()),
             record: app.recording.is_some(),
         })
     }
