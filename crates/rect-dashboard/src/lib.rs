@@ -6,6 +6,7 @@ mod commands;
 mod feed;
 mod fleet;
 mod guard;
+pub mod hosts;
 mod login;
 mod outbox;
 pub mod permits;
