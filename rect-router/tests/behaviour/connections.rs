@@ -417,8 +417,11 @@ fn files_of_options_neither_block_other_connections_nor_show_which_ones_exist() 
         .zip(1..)
         .map(|((method, name), port)| with_file(name, method, port, &path(name)))
         .collect();
-    let mut one = Wombat::start(&air, &folder, 1, &file(&listed));
+    let mut one = Wombat::start(&air, &folder, 1, &file(&[]));
     let local = client(&one.endpoint);
+    one.write(&file(&listed));
+    one.router
+        .wait_for("pipe: the file of the option root_ca_certificate_file cannot be used");
     let registry = "rect/wombat-1/@rect/connections";
     for name in names {
         let failed = answers(&local, &format!("{registry}?name={name}"), |all| {
@@ -430,8 +433,6 @@ fn files_of_options_neither_block_other_connections_nor_show_which_ones_exist() 
             "{failed:#}"
         );
     }
-    one.router
-        .wait_for("pipe: the file of the option root_ca_certificate_file cannot be used");
     listed.push(tcp("base", two.port()));
     one.write(&file(&listed));
     let base = format!("{registry}?name=base");

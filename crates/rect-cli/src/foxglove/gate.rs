@@ -123,7 +123,9 @@ impl Rules {
             return true;
         }
         let scheme = ["http://", "https://"];
-        let place = scheme.iter().find_map(|scheme| origin.strip_prefix(*scheme));
+        let place = scheme
+            .iter()
+            .find_map(|scheme| origin.strip_prefix(*scheme));
         place.map(name_of).is_some_and(|name| {
             let is_loopback = name.parse().is_ok_and(|ip: IpAddr| ip.is_loopback());
             name == "localhost" || is_loopback || name.eq_ignore_ascii_case(name_of(host))
