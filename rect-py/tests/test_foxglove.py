@@ -361,11 +361,10 @@ def test_pages_of_other_sites_are_refused(routers: Routers, headers: dict[str, s
 
 def test_message_that_is_too_large_ends_the_connection_of_its_viewer_alone(routers: Routers) -> None:
     with serving(routers) as address, viewer(address) as other:
-        with connect(address, subprotocols=[Subprotocol("foxglove.sdk.v1")], max_size=None) as socket_of_one:
-            with pytest.raises(ConnectionClosed):
-                socket_of_one.send("x" * 3_000_000)
-                while True:
-                    socket_of_one.recv(DEADLINE)
+        with viewer(address) as one, pytest.raises(ConnectionClosed):
+            one._send(op="x" * 3_000_000)
+            while True:
+                one._receive()
         other._send(op="getParameters", parameterNames=[], id="all")
         while not other.info:
             other._receive()

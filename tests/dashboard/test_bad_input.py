@@ -58,7 +58,7 @@ def state(connection: client.ClientConnection, kind: str) -> dict:
     raise AssertionError(f"there is no state {kind}")
 
 
-def command(connection: client.ClientConnection, **fields: object) -> dict:
+def command(connection: client.ClientConnection, /, **fields: object) -> dict:
     connection.send(json.dumps(fields))
     while True:
         answer = state(connection, "answer")
@@ -231,6 +231,7 @@ def test_robot_confirms_a_stop_once(dashboard: str, fleet: Fleet) -> None:
 
     with zenoh.open(config) as program, socket_of(dashboard) as browser:
         with program.declare_queryable(key, confirm):
+            fleet.until_served("wombat-2", "stop")
             assert command(browser, type="stop", id=1, again=False)["error"] is None
             while "wombat-2" not in (confirmed := confirmed_by(state(browser, "stop"))):
                 pass

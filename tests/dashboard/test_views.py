@@ -297,6 +297,8 @@ def test_stop_shows_in_all_browsers_what_each_robot_has_answered(page: Page, fle
         fleet.program(3) as fourth,
         fourth.serve("stop", stop_late),
     ):
+        for robot in ("wombat-2", "wombat-3", "wombat-4"):
+            fleet.until_served(robot, "stop")
         page.goto(dashboard)
         other = page.context.new_page()
         other.goto(dashboard)
@@ -309,7 +311,7 @@ def test_stop_shows_in_all_browsers_what_each_robot_has_answered(page: Page, fle
                 expect(result).to_contain_text(re.compile(r"✓ wombat-2 stopped after \d"))
                 expect(result).to_contain_text("✗ wombat-3 replied with an error: the arm is stuck")
                 expect(result).to_contain_text("… wombat-4 has not confirmed yet")
-                expect(result).to_contain_text("– wombat-5 does not provide the service stop")
+                expect(result).to_contain_text("- wombat-5 does not provide the service stop")
             assert set(stopped) == {"wombat-1"}
         finally:
             may_answer.set()

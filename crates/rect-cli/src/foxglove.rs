@@ -156,7 +156,7 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
     Ok(ExitCode::FAILURE)
 }
 
-/// What the server offers viewers.
+/// The offer of the server to viewers.
 struct Viewers {
     robot: Robot,
     context: Arc<Context>,

@@ -71,7 +71,9 @@ function summaryText({ at_ms: at, is_sent: isSent }, asked, confirmed) {
   if (!isSent) {
     return `Stop of ${time}: not sent`;
   }
-  return asked === 0 ? `Stop of ${time}: no robot provides the service` : `Stop of ${time}: ${confirmed} of ${asked} confirmed`;
+  return asked === 0
+    ? `Stop of ${time}: no robot provides the service`
+    : `Stop of ${time}: ${confirmed} of ${asked} confirmed`;
 }
 
 function lineText({ robot, outcome, ms, error }, stop) {
@@ -83,7 +85,7 @@ function lineText({ robot, outcome, ms, error }, stop) {
     case "failed":
       return `✗ ${robot} replied with an error: ${visible(error, 500)}`;
     case "no_service":
-      return `– ${robot} does not provide the service ${stop}`;
+      return `- ${robot} does not provide the service ${stop}`;
     case "unreachable":
       return `✗ ${robot} cannot be reached`;
     default:

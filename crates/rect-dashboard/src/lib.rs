@@ -52,7 +52,7 @@ pub struct Settings {
     pub read_only: bool,
     /// The file of the logins that browsers need. `None`: they need none.
     pub logins: Option<PathBuf>,
-    /// What browsers need a login for.
+    /// The use of the page for which browsers need a login.
     pub login_for: LoginFor,
     /// The certificate and its private key, two files in PEM. `None`: the connections are not encrypted.
     pub certificate: Option<(PathBuf, PathBuf)>,
@@ -62,7 +62,7 @@ pub struct Settings {
     pub embed_in: Vec<String>,
 }
 
-/// What browsers need a login for.
+/// The use of the page for which browsers need a login.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum LoginFor {
     /// For everything. The login file has to exist.

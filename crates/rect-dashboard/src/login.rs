@@ -28,7 +28,7 @@ const WINDOW: Duration = Duration::from_secs(60);
 /// The largest number of addresses and blocks whose attempts are counted. Beyond it, only known addresses may log in.
 const MAX_SOURCES: usize = 1000;
 
-/// What a browser may do.
+/// The rights of a browser.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Access {
     /// Nothing but log in.
@@ -55,7 +55,7 @@ struct State {
 
 struct Session {
     ends: Instant,
-    from: IpAddr,
+    address: IpAddr,
 }
 
 /// A source of wrong logins.
@@ -152,7 +152,10 @@ impl Logins {
         }
         let token = new_token();
         let ends = now + LASTS;
-        let session = Session { ends, from };
+        let session = Session {
+            ends,
+            address: from,
+        };
         state
             .sessions
             .insert(Sha256::digest(&token).into(), session);
@@ -186,7 +189,7 @@ impl Logins {
 impl State {
     fn is_known(&self, from: IpAddr, now: Instant) -> bool {
         let mut sessions = self.sessions.values();
-        sessions.any(|session| session.from == from && session.ends > now)
+        sessions.any(|session| session.address == from && session.ends > now)
     }
 
     fn wrong(&self, source: &Source) -> u32 {

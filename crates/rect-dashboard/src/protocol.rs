@@ -98,7 +98,7 @@ pub enum Command {
         /// The robot.
         robot: String,
     },
-    /// Send an urgent request to the configured service of all robots. What they answer is in [`State::Stop`].
+    /// Send an urgent request to the configured service of all robots. [`State::Stop`] has their answers.
     Stop {
         /// The number of the answer.
         id: u32,
@@ -229,7 +229,7 @@ pub struct StopState {
     pub robots: Vec<StoppedRobot>,
 }
 
-/// What a robot has answered to a stop.
+/// The answer of a robot to a stop.
 #[derive(Clone, Debug, Serialize)]
 pub struct StoppedRobot {
     /// The robot.

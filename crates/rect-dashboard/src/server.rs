@@ -70,7 +70,7 @@ pub struct Protection {
     pub guard: Guard,
     /// The logins; `None` if there is none.
     pub logins: Option<Logins>,
-    /// What requires a login, if there are logins.
+    /// The use of the page that requires a login, if there are logins.
     pub login_for: LoginFor,
     /// The encryption, if there is one.
     pub tls: Option<TlsAcceptor>,
@@ -134,7 +134,7 @@ async fn talk(stream: TcpStream, client: SocketAddr, tls: Option<TlsAcceptor>, r
     }
 }
 
-/// Answers the requests of a connection, until it becomes a WebSocket or its time is over.
+/// Answers the requests of a connection, until it becomes a WebSocket or its time has passed.
 async fn answer_requests(
     stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
     router: Router,

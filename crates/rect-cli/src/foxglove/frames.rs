@@ -19,7 +19,7 @@ pub struct Frames {
 #[error("a message has more than {MAX_MESSAGE} bytes")]
 pub struct TooLarge;
 
-/// What the header of a frame says.
+/// The header of a frame.
 struct Header {
     is_last: bool,
     is_control: bool,

@@ -200,7 +200,7 @@ impl Gate {
 /// The request of a viewer.
 struct Request {
     bytes: Vec<u8>,
-    /// Where it ends. What follows belongs to the WebSocket.
+    /// Its length. Further bytes belong to the WebSocket.
     end: usize,
 }
 

@@ -3,7 +3,7 @@ use std::{collections::BTreeMap, time::Duration};
 
 use rect::Name;
 
-/// What a robot has answered.
+/// The answer of a robot.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Answer {
     /// Nothing yet.
