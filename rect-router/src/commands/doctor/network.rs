@@ -109,8 +109,9 @@ fn connections_file(session: &Session, fleet: &str, robot: &str) -> Option<Findi
     let (_, answer) = answers.into_iter().next()?;
     let limits = Limits {
         robot: robot.to_owned(),
-        // The limit is a setting of the router that it does not report.
+        // These are settings of the router that it does not report.
         max_connections: usize::MAX,
+        option_folders: vec!["/".into()],
     };
     Some(match file::parse(answer["text"].as_str()?, &limits) {
         Ok(_) => Finding::good(
