@@ -75,7 +75,7 @@ pub enum Action<K> {
 
 /// Returns the interval of a new link. `requested` is the central's choice, `central_avoids` and `peripheral_avoids` are the
 /// intervals that each side has reported.
-fn agreed(
+pub(crate) fn agreed(
     requested: ConnectionInterval,
     central_avoids: &[ConnectionInterval],
     peripheral_avoids: &[ConnectionInterval],

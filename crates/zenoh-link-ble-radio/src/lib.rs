@@ -8,6 +8,8 @@ pub mod address;
 pub mod advertisement;
 pub mod interval;
 pub mod interval_table;
+#[cfg(test)]
+mod vectors;
 
 use std::{sync::Arc, time::Duration};
 

@@ -434,15 +434,11 @@ impl Traffic {
 
     /// Ends the link because of a violation by the peer.
     fn fail_for(&self, violation: Violation) {
-        let goodbye = match violation {
-            Violation::Sdu(error) if error.is_of_path() => Goodbye::LostOrDamaged,
-            _ => Goodbye::ProtocolError,
-        };
         let error = BleError::Protocol {
             peer: self.channel.peer(),
             what: violation.to_string(),
         };
-        self.fail(goodbye, error);
+        self.fail(violation.goodbye(), error);
     }
 
     /// Ends the link from this side: discards what is queued and sends `goodbye`. The receiving task does the rest. Only the
