@@ -17,6 +17,7 @@ use zenoh_link_commons::{LinkUnicast, LinkUnicastTrait};
 
 use crate::{
     adapter::Adapter,
+    connections::ConnectionGuard,
     error::{describe, BleError},
     handshake::{agreed_mtu, channel_options, own_window, FirstSdu, HandshakeChannel},
     link::{
@@ -204,10 +205,12 @@ impl Listener {
             tokio::select! {
                 accepted = bound.channels.accept() => match accepted {
                     Ok(channel) => {
+                        let connection = self.adapter.use_connection(channel.peer());
                         if let Some(permit) = HandshakePermit::acquire(self, channel.peer()) {
                             let listener = Arc::clone(self);
-                            handshakes
-                                .spawn(async move { listener.handle_channel(channel, permit).await });
+                            handshakes.spawn(async move {
+                                listener.handle_channel(channel, connection, permit).await;
+                            });
                         }
                     }
                     Err(error) => return error.to_string(),
@@ -252,11 +255,21 @@ impl Listener {
     }
 
     /// Performs the handshake on a channel and hands the link to Zenoh. An error ends only this channel.
-    async fn handle_channel(&self, channel: Arc<dyn Channel>, permit: HandshakePermit) {
+    async fn handle_channel(
+        &self,
+        channel: Arc<dyn Channel>,
+        connection: ConnectionGuard,
+        permit: HandshakePermit,
+    ) {
         let peer = channel.peer();
         let handshake = self.node.begin_handshake(peer);
-        let opened = self.open(channel, peer, permit).await;
+        let mut connection = Some(connection);
+        let opened = self.open(channel, peer, permit, &mut connection).await;
         drop(handshake);
+        // Without a link, this side has refused, or the handshake has failed.
+        if let Some(mut unused) = connection {
+            unused.end_here();
+        }
         match opened {
             Ok(Some(link)) if link.path().is_some() => match self.node.path_acceptor() {
                 Some(acceptor) => acceptor.on_path(BlePath::new(link)),
@@ -284,12 +297,13 @@ impl Listener {
         }
     }
 
-    /// Performs the handshake. Returns the link, or `None` if it was refused or evicted.
+    /// Performs the handshake. Returns the link, which takes `connection`, or `None` if it was refused or evicted.
     async fn open(
         &self,
         channel: Arc<dyn Channel>,
         device: DeviceAddress,
         permit: HandshakePermit,
+        connection: &mut Option<ConnectionGuard>,
     ) -> Result<Option<Arc<LinkBle>>, BleError> {
         let mut handshake = HandshakeChannel::new(&channel);
         let received = handshake.receive_hello(self.secret.as_ref());
@@ -361,6 +375,7 @@ impl Listener {
             device,
             default: radio.default_interval(),
             is_central,
+            can_change: radio.changes_open_connections(),
         };
         let offered = peer
             .as_ref()
@@ -391,7 +406,8 @@ impl Listener {
             }),
             exporter,
             channel: Arc::clone(&channel),
-            radio: Arc::clone(&self.adapter.radio),
+            adapter: Arc::clone(&self.adapter),
+            connection: connection.take(),
             framing: Framing::with(&channel, peer.as_ref(), protection, first),
             mtu,
             queueing: self.locator.queueing,
@@ -406,8 +422,7 @@ impl Listener {
                 what: error.to_string(),
             }
         })?;
-        let action = self.node.intervals().next_action();
-        self.node.perform(action);
+        self.node.perform_for_new_link();
         tokio::select! {
             () = self.node.wait_for_holdoff(number) => {}
             () = link.ended() => {}

@@ -106,11 +106,19 @@ impl Radio for SimRadio {
         self.attachment.default_interval()
     }
 
+    fn changes_open_connections(&self) -> bool {
+        self.attachment.changes_open_connections()
+    }
+
     async fn set_interval(&self, peer: DeviceAddress, interval: ConnectionInterval) -> bool {
         let units = interval.units();
         let command = Command::SetInterval { peer, units };
         self.attachment.command(command);
         true
+    }
+
+    async fn disconnect(&self, peer: DeviceAddress) {
+        self.attachment.command(Command::Disconnect { peer });
     }
 
     async fn listen(

@@ -446,6 +446,7 @@ impl Traffic {
     fn fail(&self, goodbye: Goodbye, error: BleError) {
         let mut state = self.state.lock();
         if state.failure.is_none() {
+            self.close_once.end_here();
             state.failure = Some(error.into());
             state.lanes.abort(goodbye.code());
             self.failed.notify_one();
