@@ -61,6 +61,10 @@ impl Connections {
         }
     }
 
+    fn users(&self, device: DeviceAddress) -> usize {
+        self.0.get(&device).map_or(0, |one| one.users)
+    }
+
     fn is_closing(&self, device: DeviceAddress) -> bool {
         self.0.get(&device).is_some_and(|one| one.is_closing)
     }
@@ -87,6 +91,14 @@ impl Adapter {
                 return;
             }
             closed.await;
+        }
+    }
+
+    /// Closes a connection that has remained from an earlier link. The caller has the only guard.
+    pub(crate) async fn close_remaining(&self, device: DeviceAddress) {
+        let is_alone = self.connections.lock().users(device) == 1;
+        if is_alone {
+            self.radio.disconnect(device).await;
         }
     }
 

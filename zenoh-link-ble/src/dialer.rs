@@ -257,6 +257,13 @@ async fn open(
     }
     node.wait_for_handshakes_with(candidate.device).await;
     adapter.wait_until_closed(candidate.device).await;
+    if !adapter.radio.changes_open_connections() {
+        // The connection of an ended link would keep its interval.
+        let wants_another = node.intervals().wants_another(candidate.device);
+        if wants_another {
+            adapter.close_remaining(candidate.device).await;
+        }
+    }
     let mut offered = node
         .request_interval(adapter.radio.as_ref(), candidate.device)
         .await;
