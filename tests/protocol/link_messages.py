@@ -133,7 +133,7 @@ def handshake() -> dict[str, object]:
         (good + path(1 << 63, 0), None, 1 << 63, False),
         (good + path(7, 0xFE), None, 7, False),
         (good + path(7, 0xFF), None, 7, True),
-        # Intervals that are not valid are none. What follows them counts.
+        # Intervals that are not valid are none. The fields after them count.
         (good + intervals(5) + path(7, 0), None, 7, False),
         (good + intervals(24, 3201) + path(7, 0), None, 7, False),
         (good + intervals(24, 0) + path(7, 0), None, 7, False),
@@ -249,7 +249,7 @@ def batch(size: int, lane: int = 0) -> bytes:
 
 
 def answers(window: int, batches: list[int]) -> list[list[bytes]]:
-    """What a receiver sends after each batch of a lane of which it takes none."""
+    """The SDUs that a receiver sends after each batch of a lane of which it takes none."""
     check, received, acknowledged, is_stopped = Checked(), 0, 0, False
     sent: list[list[bytes]] = []
     for size in batches:
@@ -269,7 +269,7 @@ def open_link() -> dict[str, object]:
     contents = [(0, b"\x00a batch"), (1, b"\x10\x00\x02"), (65536, b"\x25"), (0xFFFFFFFF, b"\x40\x00")]
     one = checked(0, batch(20))
     ack = struct.pack("<H", 1)
-    # What arrives on a link, and the reason of the goodbye, if it ends the link.
+    # The SDUs that arrive on a link, and the reason of the goodbye if the last one ends it.
     received: list[tuple[str, list[bytes], int | None]] = [
         ("batches on several lanes", sdus(batch(1), batch(mtu, 7), batch(20, 3)), None),
         ("every other kind", sdus(b"\x10\x00\x00", b"\x25", b"\x35", b"\x50\x18\x00", b"\x40\x00"), None),

@@ -259,8 +259,8 @@ async fn open(
     adapter.wait_until_closed(candidate.device).await;
     if !adapter.radio.changes_open_connections() {
         // The connection of an ended link would keep its interval.
-        let wants_another = node.intervals().wants_another(candidate.device);
-        if wants_another {
+        let has_preferred = node.intervals().has_preferred(candidate.device);
+        if has_preferred {
             adapter.close_remaining(candidate.device).await;
         }
     }

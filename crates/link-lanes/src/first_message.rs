@@ -48,7 +48,7 @@ pub enum Rejection {
     /// The message cannot be decoded. The reason of the refusal depends on its kind.
     #[error("{error}")]
     Invalid {
-        /// What is wrong with it.
+        /// The problem.
         error: HandshakeMessageError,
         /// The refusal, if the message is answered.
         refusal: Option<Refusal>,

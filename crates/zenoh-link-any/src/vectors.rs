@@ -163,7 +163,7 @@ fn streams_are_cut_into_batches_as_documented() {
         let received = frames.iter().try_for_each(|hex| {
             let frame = bytes(hex);
             let Ok(Frame::Data { offset, bytes, .. }) = frame::decode(&frame) else {
-                panic!("{case}: {hex} is no data");
+                panic!("{case}: {hex} is not a data frame");
             };
             lane.on_bytes(offset, bytes, max_batch).map(drop)
         });

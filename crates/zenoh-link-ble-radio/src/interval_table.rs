@@ -43,7 +43,7 @@ pub struct IntervalTable<K> {
     /// Number of lost links by peer. The peer with the latest loss is at the end.
     losses: VecDeque<(DeviceAddress, usize)>,
     /// The intervals that the next link with a peer should have, because that of an open link could not be changed.
-    wanted: VecDeque<(DeviceAddress, ConnectionInterval)>,
+    preferred: VecDeque<(DeviceAddress, ConnectionInterval)>,
 }
 
 /// The interval of one link.
@@ -119,7 +119,7 @@ impl<K> Default for IntervalTable<K> {
         Self {
             links: BTreeMap::new(),
             losses: VecDeque::new(),
-            wanted: VecDeque::new(),
+            preferred: VecDeque::new(),
         }
     }
 }
@@ -130,21 +130,21 @@ impl<K: Copy + Ord> IntervalTable<K> {
     pub fn for_dial(&self, peer: DeviceAddress, default: ConnectionInterval) -> Intervals {
         let losses = self.losses.iter().find(|(device, _)| *device == peer);
         let avoid = self.of_other_clocks();
-        let wanted = self.wanted.iter().find(|(device, _)| *device == peer);
-        let wanted = wanted.map(|(_, interval)| *interval).filter(|interval| {
+        let preferred = self.preferred.iter().find(|(device, _)| *device == peer);
+        let preferred = preferred.map(|(_, interval)| *interval).filter(|interval| {
             let is_near = interval.units().abs_diff(default.units()) <= SPREAD;
             is_near && !avoid.iter().any(|other| interval.conflicts_with(*other))
         });
         let skip = losses.map_or(0, |(_, count)| *count);
         Intervals {
-            requested: Some(wanted.unwrap_or_else(|| default.choose(&avoid, skip))),
+            requested: Some(preferred.unwrap_or_else(|| default.choose(&avoid, skip))),
             avoid,
         }
     }
 
     /// Returns whether the next link with a peer should have another interval than an earlier one, which could not be changed.
-    pub fn wants_another(&self, peer: DeviceAddress) -> bool {
-        self.wanted.iter().any(|(device, _)| *device == peer)
+    pub fn has_preferred(&self, peer: DeviceAddress) -> bool {
+        self.preferred.iter().any(|(device, _)| *device == peer)
     }
 
     /// Returns the intervals for the hello of a dialler that is not the central after all.
@@ -231,7 +231,7 @@ impl<K: Copy + Ord> IntervalTable<K> {
             _ => result,
         };
         if interval != result {
-            replace(&mut self.wanted, device, result);
+            replace(&mut self.preferred, device, result);
         }
         let peer = if is_central { peripheral } else { central };
         let link = LinkInterval {
@@ -270,7 +270,7 @@ impl<K: Copy + Ord> IntervalTable<K> {
             return;
         };
         let device = link.device;
-        self.wanted.retain(|(other, _)| *other != device);
+        self.preferred.retain(|(other, _)| *other != device);
         let before = self.losses.iter().find(|(other, _)| *other == device);
         let count = before.map_or(0, |(_, count)| *count);
         replace(&mut self.losses, device, count.saturating_add(1));
@@ -312,7 +312,7 @@ impl<K: Copy + Ord> IntervalTable<K> {
         };
         link.changes += 1;
         if !link.can_change {
-            replace(&mut self.wanted, link.device, chosen);
+            replace(&mut self.preferred, link.device, chosen);
             return Some(Action::Announce(number, link.interval));
         }
         link.interval = chosen;

@@ -244,7 +244,7 @@ fn central_that_cannot_change_a_link_answers_a_request_with_the_interval_in_forc
     central.on_lost(9);
     central.on_ended(9);
     assert_eq!(dialled(&central, 2), units(25));
-    assert!(central.wanted.is_empty());
+    assert!(central.preferred.is_empty());
 }
 
 #[test]

@@ -154,9 +154,9 @@ async fn starved_link_changes_its_interval() {
 async fn announced(raw: &mut RawPeer) -> u16 {
     within("an interval", async {
         loop {
-            match raw.receive().await.expect("the link is open") {
-                Content::Interval(units) => return units,
-                _ => {}
+            let received = raw.receive().await.expect("the link is open");
+            if let Content::Interval(units) = received {
+                return units;
             }
         }
     })
