@@ -1,11 +1,10 @@
 //! Represents one local adapter of a node: its radio, its shared scan, its limit of one pending connect, and its connections.
 use std::sync::Arc;
 
-use parking_lot::Mutex;
-use tokio::sync::{Notify, Semaphore};
+use tokio::sync::Semaphore;
 use zenoh_link_ble_radio::Radio;
 
-use crate::{connections::Connections, scanner::Scanner};
+use crate::{connections::SharedConnections, scanner::Scanner};
 
 /// A local adapter, as all listeners and dials of a node share it.
 pub(crate) struct Adapter {
@@ -14,19 +13,16 @@ pub(crate) struct Adapter {
     /// Limits pending LE connects to one at a time. A second one leaks a connection on the Pi's controller
     /// (bluetooth-next#643), and the kernel serves only one anyway.
     pub(crate) connecting: Semaphore,
-    pub(crate) connections: Mutex<Connections>,
-    /// Notified whenever a connection was closed.
-    pub(crate) connection_closed: Notify,
+    pub(crate) connections: Arc<SharedConnections>,
 }
 
 impl Adapter {
     pub(crate) fn new(radio: Arc<dyn Radio>) -> Arc<Self> {
         Arc::new(Self {
             scanner: Scanner::new(Arc::clone(&radio)),
-            radio,
             connecting: Semaphore::new(1),
-            connections: Mutex::default(),
-            connection_closed: Notify::new(),
+            connections: SharedConnections::of(&radio.id()),
+            radio,
         })
     }
 }

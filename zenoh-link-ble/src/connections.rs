@@ -1,11 +1,17 @@
 //! Closes a BLE connection when no channel uses it any more. The system keeps it otherwise, and a peer that does not advertise
 //! while it is connected, as many microcontrollers, could not be dialled again.
 //!
-//! Several channels may share one connection: those of two robots that dial each other at the same time, or that of a link and
-//! of the one that replaces it. Each dial, handshake and link therefore holds a [`ConnectionGuard`].
-use std::{collections::HashMap, sync::Arc, time::Duration};
+//! Several channels may share one connection: those of two robots that dial each other at the same time, that of a link and of
+//! the one that replaces it, or those of two Zenoh runtimes of this process. Each dial, handshake and link therefore holds a
+//! [`ConnectionGuard`].
+use std::{
+    collections::HashMap,
+    sync::{Arc, Weak},
+    time::Duration,
+};
 
-use tokio::runtime::Handle;
+use parking_lot::Mutex;
+use tokio::{runtime::Handle, sync::Notify};
 use zenoh_link_ble_radio::address::DeviceAddress;
 
 use crate::adapter::Adapter;
@@ -15,9 +21,34 @@ use crate::adapter::Adapter;
 /// closes the connection.
 const GRACE: Duration = Duration::from_secs(2);
 
-/// The connections of one adapter.
+/// The connections of one adapter, which all nodes of the process share.
 #[derive(Default)]
-pub(crate) struct Connections(HashMap<DeviceAddress, Connection>);
+pub(crate) struct SharedConnections {
+    connections: Mutex<Connections>,
+    /// Notified whenever a connection was closed.
+    closed: Notify,
+}
+
+/// The connections by the id of the radio.
+static SHARED: Mutex<Vec<(String, Weak<SharedConnections>)>> = Mutex::new(Vec::new());
+
+impl SharedConnections {
+    /// Returns the connections of the adapter with that id.
+    pub(crate) fn of(radio_id: &str) -> Arc<Self> {
+        let mut shared = SHARED.lock();
+        shared.retain(|(_, connections)| connections.strong_count() > 0);
+        let existing = shared.iter().find(|(id, _)| id == radio_id);
+        if let Some(existing) = existing.and_then(|(_, connections)| connections.upgrade()) {
+            return existing;
+        }
+        let connections = Arc::<Self>::default();
+        shared.push((radio_id.to_owned(), Arc::downgrade(&connections)));
+        connections
+    }
+}
+
+#[derive(Default)]
+struct Connections(HashMap<DeviceAddress, Connection>);
 
 #[derive(Default)]
 struct Connection {
@@ -74,7 +105,7 @@ impl Adapter {
     /// Records that the caller uses the connection to a device, or is about to open it. After the last guard is dropped, the
     /// connection is closed.
     pub(crate) fn use_connection(self: &Arc<Self>, device: DeviceAddress) -> ConnectionGuard {
-        self.connections.lock().on_use(device);
+        self.connections.connections.lock().on_use(device);
         ConnectionGuard {
             adapter: Arc::clone(self),
             device,
@@ -86,8 +117,8 @@ impl Adapter {
     /// Waits while the connection to a device is being closed. A channel that was opened meanwhile would end with it.
     pub(crate) async fn wait_until_closed(&self, device: DeviceAddress) {
         loop {
-            let closed = self.connection_closed.notified();
-            if !self.connections.lock().is_closing(device) {
+            let closed = self.connections.closed.notified();
+            if !self.connections.connections.lock().is_closing(device) {
                 return;
             }
             closed.await;
@@ -96,7 +127,7 @@ impl Adapter {
 
     /// Closes a connection that has remained from an earlier link. The caller has the only guard.
     pub(crate) async fn close_remaining(&self, device: DeviceAddress) {
-        let is_alone = self.connections.lock().users(device) == 1;
+        let is_alone = self.connections.connections.lock().users(device) == 1;
         if is_alone {
             self.radio.disconnect(device).await;
         }
@@ -105,8 +136,8 @@ impl Adapter {
     /// Closes a connection, which [`Connections::begin_closing`] permits.
     async fn close_connection(&self, device: DeviceAddress) {
         self.radio.disconnect(device).await;
-        self.connections.lock().on_closed(device);
-        self.connection_closed.notify_waiters();
+        self.connections.connections.lock().on_closed(device);
+        self.connections.closed.notify_waiters();
     }
 }
 
@@ -129,7 +160,7 @@ impl ConnectionGuard {
 impl Drop for ConnectionGuard {
     fn drop(&mut self) {
         let (adapter, device) = (Arc::clone(&self.adapter), self.device);
-        let mut connections = self.adapter.connections.lock();
+        let mut connections = self.adapter.connections.connections.lock();
         let Some(uses) = connections.on_released(device) else {
             return;
         };
@@ -139,7 +170,10 @@ impl Drop for ConnectionGuard {
         self.runtime.spawn(async move {
             if !is_closing {
                 tokio::time::sleep(GRACE).await;
-                if !adapter.connections.lock().begin_closing(device, uses) {
+                let mut connections = adapter.connections.connections.lock();
+                let is_due = connections.begin_closing(device, uses);
+                drop(connections);
+                if !is_due {
                     return;
                 }
             }

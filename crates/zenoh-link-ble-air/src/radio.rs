@@ -33,6 +33,11 @@ impl Radio for SimRadio {
         &self.attachment.name
     }
 
+    fn id(&self) -> String {
+        // Several airs may have an adapter of that name.
+        format!("{} at {:p}", self.name(), Arc::as_ptr(&self.attachment))
+    }
+
     async fn address(&self) -> Result<DeviceAddress, RadioError> {
         self.attachment.wait_until_ready().await;
         match self.attachment.state() {

@@ -135,6 +135,10 @@ impl Radio for BluezRadio {
         self.identity.requested_name()
     }
 
+    fn id(&self) -> String {
+        self.name().to_owned()
+    }
+
     async fn address(&self) -> Result<DeviceAddress, RadioError> {
         own_address(&self.adapter().await?).await
     }

@@ -166,6 +166,9 @@ pub trait Radio: Send + Sync {
     /// Returns the adapter's name, such as `hci0` or `sim-wombat-1`.
     fn name(&self) -> &str;
 
+    /// Identifies the adapter within this process: radios with equal ids share its connections.
+    fn id(&self) -> String;
+
     /// Returns the adapter's own address.
     ///
     /// # Errors
