@@ -161,7 +161,7 @@ fn hellos_decode_to_the_documented_fields() {
         assert_eq!((hello.mtu, hello.window, hello.name), (mtu, window, name));
         let decoded = hello.intervals.map(|intervals| {
             let requested = intervals.requested.unwrap_or(0);
-            [&[requested], &intervals.avoid[..]].concat()
+            [&[requested][..], &intervals.avoid].concat()
         });
         assert_eq!(decoded, intervals, "{sdu}");
         let path = hello.path.map(|path| (path.link, path.joins));
