@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """An independent implementation of the messages of a `ble` link, written from `PROTOCOL.md`: the advertisement, the
-handshake with the answers of a listener, connection intervals, and the SDUs of an open link.
+handshake with the answers of a listener, connection intervals, the SDUs of an open link, and the rules by which a pair
+of nodes has one link.
 
 usage: link_messages.py [--write]
-Compares its results with the test vectors in crates/link-lanes/vectors and crates/zenoh-link-ble-radio/vectors, or
-writes them.
+Compares its results with the test vectors in the folders `vectors` of the links' crates, or writes them.
 """
 
 from __future__ import annotations
@@ -12,11 +12,13 @@ from __future__ import annotations
 import struct
 import zlib
 from math import gcd
+from typing import NamedTuple
 
 from link_keys import SECRET, VERSION, Noise, hello, main, psk_of, public_key
 from link_keys import VECTORS as LANES
 
 RADIO = LANES.parent.parent / "zenoh-link-ble-radio" / "vectors"
+BLE = LANES.parents[2] / "zenoh-link-ble" / "vectors"
 SERVICE_DATA_VERSION = 1
 SDU_OVERHEAD = 24
 MAX_WINDOW = 16384
@@ -223,6 +225,95 @@ def radio() -> dict[str, object]:
     }
 
 
+# Section 6.
+class Node(NamedTuple):
+    """A peer, or a link with it. Only the last byte of its address is stated."""
+
+    node: int
+    name: str
+    address: int
+    is_dialled: bool = False
+    age_ms: int = 0
+
+
+class Dial(NamedTuple):
+    name: str
+    is_hello_sent: bool
+
+
+class Decision(NamedTuple):
+    answer: int | None
+    ended: list[int]
+    cancelled: list[int]
+
+
+def decide(own: Node, max_links: int, links: list[Node], dials: list[Dial], peer: Node) -> Decision:
+    """The code of the refusal, if there is one, and otherwise the links and the dials that end."""
+
+    def refused(code: int) -> Decision:
+        return Decision(code, [], [])
+
+    same_name = [link for link in links if link.name == peer.name]
+    if peer.name and (
+        peer.name == own.name or any(one.node != peer.node and one.address != peer.address for one in same_name)
+    ):
+        return refused(5)
+    if own.node < peer.node and any(dial.is_hello_sent and dial.name == peer.name for dial in dials):
+        return refused(3)
+    if any(link.node == peer.node and link.is_dialled and link.age_ms < 5000 for link in links):
+        return refused(2)
+    if sum(not link.is_dialled and link.node != peer.node for link in links) >= max_links:
+        return refused(4)
+
+    def is_ended(link: Node) -> bool:
+        is_restarted = peer.name != "" and (link.name, link.address) == (peer.name, peer.address)
+        return link.node == peer.node or is_restarted
+
+    ended = [n for n, link in enumerate(links) if is_ended(link)]
+    return Decision(None, ended, [n for n, dial in enumerate(dials) if peer.name and dial.name == peer.name])
+
+
+def pair() -> list[object]:
+    own = Node(10, "own", 1)
+    higher, lower = Node(11, "peer", 2), Node(9, "peer", 2)
+    other = Node(20, "other", 3)
+    cases: list[tuple[str, int, list[Node], list[Dial], Node]] = [
+        ("a new peer", 7, [other], [], higher),
+        ("crossing hellos, and this node's id is lower", 7, [], [Dial("peer", True)], higher),
+        ("crossing hellos, and this node's id is higher", 7, [], [Dial("peer", True)], lower),
+        ("node ids differ in the highest byte", 7, [], [Dial("peer", True)], Node(1 << 56, "peer", 2)),
+        ("a dial that has not sent its hello", 7, [], [Dial("peer", False)], higher),
+        ("a dial to another peer", 7, [], [Dial("third", True)], higher),
+        ("a link that this node has just dialled", 7, [Node(11, "peer", 2, True, 4999)], [], higher),
+        ("a link that this node has dialled before", 7, [Node(11, "peer", 2, True, 5000)], [], higher),
+        ("a link that the peer has just dialled", 7, [Node(11, "peer", 2)], [], higher),
+        ("a restarted peer", 7, [Node(12, "peer", 2)], [], higher),
+        ("a restarted peer that this node has just dialled", 7, [Node(12, "peer", 2, True)], [], higher),
+        ("a peer with another address", 7, [Node(11, "peer", 4)], [], higher),
+        ("a peer with another name and address", 7, [Node(11, "before", 4)], [], higher),
+        ("another device with the name", 7, [Node(12, "peer", 4)], [], higher),
+        ("another node with the address", 7, [Node(12, "third", 2)], [], higher),
+        ("this node's own name", 7, [], [], Node(11, "own", 2)),
+        ("no name", 7, [Node(12, "", 4)], [], Node(11, "", 2)),
+        ("too many links", 1, [other], [], higher),
+        ("links that this node has dialled do not count", 1, [Node(20, "other", 3, True)], [], higher),
+        ("a replaced link does not count", 1, [Node(11, "peer", 2)], [], higher),
+        ("a crossing dial takes precedence over too many links", 1, [other], [Dial("peer", True)], higher),
+    ]
+    return [
+        {
+            "case": case,
+            "own": own._asdict(),
+            "max_links": max_links,
+            "links": [link._asdict() for link in links],
+            "dials": [dial._asdict() for dial in dials],
+            "peer": peer._asdict(),
+            **decide(own, max_links, links, dials, peer)._asdict(),
+        }
+        for case, max_links, links, dials, peer in cases
+    ]
+
+
 # Section 4.
 def checked(number: int, content: bytes) -> bytes:
     return content + struct.pack("<H", folded(crc(struct.pack("<I", number) + content)))
@@ -335,5 +426,6 @@ if __name__ == "__main__":
             LANES / "handshake.json": handshake,
             LANES / "open-link.json": open_link,
             RADIO / "radio.json": radio,
+            BLE / "pair.json": pair,
         },
     )
