@@ -257,16 +257,13 @@ async fn open(
     }
     node.wait_for_handshakes_with(candidate.device).await;
     adapter.wait_until_closed(candidate.device).await;
-    if !adapter.radio.changes_open_connections() {
-        // The connection of an ended link would keep its interval.
-        let has_preferred = node.intervals().has_preferred(candidate.device);
-        if has_preferred {
-            adapter.close_remaining(candidate.device).await;
-        }
-    }
     let mut offered = node
         .request_interval(adapter.radio.as_ref(), candidate.device)
         .await;
+    if offered.is_some() && !adapter.radio.changes_open_connections() {
+        // The connection of an ended link would keep its interval.
+        adapter.close_remaining(candidate.device).await;
+    }
     let channel = connect(adapter, options, candidate, limit).await?;
     if channel.is_central() == Some(false) {
         offered = Some(node.intervals().for_peripheral());

@@ -266,16 +266,17 @@ impl Listener {
         let mut connection = Some(connection);
         let opened = self.open(channel, peer, permit, &mut connection).await;
         drop(handshake);
-        // Without a link, this side has refused, or the handshake has failed.
-        if let Some(mut unused) = connection {
-            unused.end_here();
+        // A peer whose handshake was evicted dials again, and may use the connection for that.
+        if !matches!(opened, Ok(Outcome::Evicted)) {
+            connection.iter_mut().for_each(ConnectionGuard::end_here);
         }
+        drop(connection);
         match opened {
-            Ok(Some(link)) if link.path().is_some() => match self.node.path_acceptor() {
+            Ok(Outcome::Linked(link)) if link.path().is_some() => match self.node.path_acceptor() {
                 Some(acceptor) => acceptor.on_path(BlePath::new(link)),
                 None => tracing::debug!("ble: dropped a path from {peer}: the router is stopping"),
             },
-            Ok(Some(link)) => {
+            Ok(Outcome::Linked(link)) => {
                 let link: Arc<dyn LinkUnicastTrait> = link;
                 if self
                     .node
@@ -287,7 +288,7 @@ impl Listener {
                     tracing::debug!("ble: dropped a link with {peer}: the router is stopping");
                 }
             }
-            Ok(None) => {}
+            Ok(Outcome::Refused | Outcome::Evicted) => {}
             Err(error) => {
                 if let BleError::Misdirected { .. } = error {
                     self.node.link_table().on_misdirected(peer);
@@ -297,18 +298,18 @@ impl Listener {
         }
     }
 
-    /// Performs the handshake. Returns the link, which takes `connection`, or `None` if it was refused or evicted.
+    /// Performs the handshake. A link takes `connection`.
     async fn open(
         &self,
         channel: Arc<dyn Channel>,
         device: DeviceAddress,
         permit: HandshakePermit,
         connection: &mut Option<ConnectionGuard>,
-    ) -> Result<Option<Arc<LinkBle>>, BleError> {
+    ) -> Result<Outcome, BleError> {
         let mut handshake = HandshakeChannel::new(&channel);
         let received = handshake.receive_hello(self.secret.as_ref());
         let Some(received) = permit.unless_evicted(received).await else {
-            return Ok(None);
+            return Ok(Outcome::Evicted);
         };
         let (peer, first) = match received? {
             FirstSdu::Hello(hello) => (Some(hello), None),
@@ -330,7 +331,7 @@ impl Listener {
             if let Some(refusal) = acceptor.refusal(&peer.name, peer.node, path, free_places) {
                 permit.succeed();
                 handshake.refuse(refusal).await?;
-                return Ok(None);
+                return Ok(Outcome::Refused);
             }
         }
         let replaced = CancellationToken::new();
@@ -358,9 +359,9 @@ impl Listener {
                         refused?;
                     }
                 }
-                return Ok(None);
+                return Ok(Outcome::Refused);
             }
-            (Verdict::Accept, None) => return Ok(None),
+            (Verdict::Accept, None) => return Ok(Outcome::Refused),
         };
         // From here on, max_links limits the number of links.
         permit.succeed();
@@ -428,8 +429,17 @@ impl Listener {
             () = link.ended() => {}
         }
         // A link that has ended meanwhile is not handed to Zenoh.
-        link.check().map(|()| Some(link))
+        link.check().map(|()| Outcome::Linked(link))
     }
+}
+
+/// The result of a handshake.
+enum Outcome {
+    Linked(Arc<LinkBle>),
+    /// This side has refused the link.
+    Refused,
+    /// Another handshake took its place.
+    Evicted,
 }
 
 /// The permission to perform a handshake. Dropping it ends the handshake.

@@ -142,11 +142,6 @@ impl<K: Copy + Ord> IntervalTable<K> {
         }
     }
 
-    /// Returns whether the next link with a peer should have another interval than an earlier one, which could not be changed.
-    pub fn has_preferred(&self, peer: DeviceAddress) -> bool {
-        self.preferred.iter().any(|(device, _)| *device == peer)
-    }
-
     /// Returns the intervals for the hello of a dialler that is not the central after all.
     pub fn for_peripheral(&self) -> Intervals {
         Intervals {

@@ -3,6 +3,7 @@
 use std::{sync::Arc, time::Duration};
 
 use link_lanes::{
+    goodbye::Goodbye,
     hello::{Hello, IntervalUnits},
     lanes::sdu::Content,
 };
@@ -219,6 +220,7 @@ async fn central_announces_the_interval_in_force() {
                 sleep(Duration::from_secs(2)).await;
                 assert_eq!(answer, in_force(), "{requested:?}");
             }
+            raw.send(Content::Goodbye(Goodbye::Closing.code())).await;
             drop((raw, advertising));
             let end = within("the end", link.read(&mut [0; 100], None)).await;
             assert!(end.is_err());
