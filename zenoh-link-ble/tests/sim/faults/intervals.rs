@@ -221,7 +221,8 @@ async fn central_announces_the_interval_in_force() {
                 assert_eq!(answer, in_force(), "{requested:?}");
             }
             raw.send(Content::Goodbye(Goodbye::Closing.code())).await;
-            drop((raw, advertising));
+            assert_eq!(raw.receive_goodbye().await, None, "the channel is down");
+            drop(advertising);
             let end = within("the end", link.read(&mut [0; 100], None)).await;
             assert!(end.is_err());
             link.close().await.expect("closes");
