@@ -32,7 +32,7 @@ use link_lanes::{
     lanes::{sdu::Protection, Lane},
 };
 use tokio_util::sync::CancellationToken;
-use zenoh_link_ble_radio::{interval::ConnectionInterval, Channel, Radio};
+use zenoh_link_ble_radio::{interval::ConnectionInterval, Channel};
 use zenoh_link_commons::{LinkAuthId, LinkUnicastTrait};
 use zenoh_protocol::{
     core::{Locator, Priority},
@@ -41,6 +41,8 @@ use zenoh_protocol::{
 use zenoh_result::ZResult;
 
 use crate::{
+    adapter::Adapter,
+    connections::ConnectionGuard,
     error::{describe, into_zenoh, BleError},
     handshake::own_window,
     link::{
@@ -55,6 +57,9 @@ use crate::{
     },
     locator::{Queueing, BLE_LOCATOR_PREFIX},
 };
+
+/// How long closing a link waits until its BLE connection is closed.
+const DISCONNECT_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// The framing of the batches of a link.
 pub(crate) enum Framing {
@@ -97,7 +102,9 @@ impl Framing {
 /// The parts of a link after its handshake.
 pub(crate) struct Opened {
     pub channel: Arc<dyn Channel>,
-    pub radio: Arc<dyn Radio>,
+    pub adapter: Arc<Adapter>,
+    /// Keeps the BLE connection open.
+    pub connection: Option<ConnectionGuard>,
     pub framing: Framing,
     pub mtu: u16,
     pub queueing: Queueing,
@@ -115,7 +122,7 @@ pub(crate) struct Opened {
 /// An open link, as Zenoh uses it.
 pub(crate) struct LinkBle {
     channel: Arc<dyn Channel>,
-    radio: Arc<dyn Radio>,
+    adapter: Arc<Adapter>,
     batches: Batches,
     mtu: u16,
     is_encrypted: bool,
@@ -143,7 +150,8 @@ impl LinkBle {
     pub(crate) fn new(node: Arc<Node>, number: LinkNumber, opened: Opened) -> ZResult<Arc<Self>> {
         let Opened {
             channel,
-            radio,
+            adapter,
+            connection,
             framing,
             mtu,
             queueing,
@@ -153,7 +161,6 @@ impl LinkBle {
             path,
             exporter,
         } = opened;
-        let adapter = channel.adapter().to_owned();
         let peer = if peer_name.is_empty() {
             channel.peer().to_string()
         } else {
@@ -161,12 +168,13 @@ impl LinkBle {
         };
         // Zenoh identifies links by their locators. The number distinguishes this link from an earlier one with the same
         // peer.
-        let src = Locator::new(BLE_LOCATOR_PREFIX, &adapter, format!("link={}", number.0))?;
+        let name = channel.adapter().to_owned();
+        let src = Locator::new(BLE_LOCATOR_PREFIX, &name, format!("link={}", number.0))?;
         let dst = Locator::new(BLE_LOCATOR_PREFIX, &peer, "")?;
         let is_encrypted = is_paired || framing.is_encrypted();
         let how = if is_encrypted { "" } else { ", not encrypted" };
-        tracing::info!("ble: linked with {peer} on {adapter}{how}");
-        let close_once = CloseOnce::new(Arc::clone(&node), number, peer.clone());
+        tracing::info!("ble: linked with {peer} on {name}{how}");
+        let close_once = CloseOnce::new(Arc::clone(&node), number, peer.clone(), connection);
         let batches = match framing {
             Framing::Lanes {
                 own_window,
@@ -192,7 +200,7 @@ impl LinkBle {
         };
         let link = Arc::new(Self {
             channel,
-            radio,
+            adapter,
             batches,
             mtu,
             is_encrypted,
@@ -287,7 +295,8 @@ impl LinkBle {
 
     /// Sets the connection interval of the link, of which this node is the central, and announces it to the peer.
     pub(crate) async fn set_interval(&self, interval: ConnectionInterval) {
-        if self.radio.set_interval(self.channel.peer(), interval).await {
+        let radio = &self.adapter.radio;
+        if radio.set_interval(self.channel.peer(), interval).await {
             self.send_interval(interval);
         }
     }
@@ -414,12 +423,16 @@ impl LinkUnicastTrait for LinkBle {
 
     async fn close(&self) -> ZResult<()> {
         if !self.is_closed.swap(true, Ordering::AcqRel) {
+            self.close_once.end_here();
             if let Batches::Lanes { traffic, .. } = &self.batches {
                 traffic.finish(self.linger).await;
             }
             self.channel.shutdown();
             self.close_once.close("closed by this side");
             self.close_once.release();
+            // The program may exit next.
+            let closed = self.adapter.wait_until_closed(self.channel.peer());
+            let _ = tokio::time::timeout(DISCONNECT_TIMEOUT, closed).await;
         }
         Ok(())
     }

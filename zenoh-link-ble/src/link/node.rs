@@ -128,19 +128,30 @@ impl Node {
 
     /// Performs an action of the table of connection intervals, in a task of its own.
     pub(crate) fn perform(&self, action: Option<Action<LinkNumber>>) {
-        let Some(Action::Change(number, interval) | Action::Request(number, interval)) = action
-        else {
+        let Some(action) = action else {
             return;
         };
+        let (Action::Change(number, interval)
+        | Action::Announce(number, interval)
+        | Action::Request(number, interval)) = action;
         let Some(link) = self.open_links.lock().get(number) else {
             return;
         };
         match action {
-            Some(Action::Change(..)) => {
+            Action::Change(..) => {
                 tokio::spawn(async move { link.set_interval(interval).await });
             }
-            Some(Action::Request(..)) => link.send_interval(interval),
-            None => {}
+            Action::Announce(..) | Action::Request(..) => link.send_interval(interval),
+        }
+    }
+
+    /// Performs the actions that the table of connection intervals has for a new link.
+    pub(crate) fn perform_for_new_link(&self) {
+        let action = self.intervals().next_action();
+        self.perform(action);
+        if let Some(Action::Announce(..)) = action {
+            let action = self.intervals().next_action();
+            self.perform(action);
         }
     }
 

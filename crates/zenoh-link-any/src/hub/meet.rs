@@ -110,9 +110,9 @@ impl Hub {
     ) -> Result<(), MeetingError> {
         let identity = self.ble.identity();
         let secret = identity.secret.clone();
-        let secret = secret.ok_or(MeetingError::NoSharedSecret)?;
         let decide = |peer: &Hello| self.decide(peer, address, identity);
-        let met = within(meeting::accept(&mut stream.halves, &secret, decide)).await?;
+        let met = meeting::accept(&mut stream.halves, secret.as_ref(), decide);
+        let met = within(met).await?;
         if self
             .existing(&name_of(&met.peer, address), met.peer.node)
             .is_some()
