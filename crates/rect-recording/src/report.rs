@@ -131,7 +131,8 @@ impl Recorder {
         }
     }
 
-    /// Records a request to the service with this key, which is one of the robot of `place`.
+    /// Records a request to the service with this key, which is one of the robot of `place`. A query that is not a request is not
+    /// recorded.
     pub fn on_request(
         &self,
         place: &KeySpace,
@@ -139,7 +140,9 @@ impl Recorder {
         attachment: Option<&[u8]>,
         payload: &Payload,
     ) {
-        let sender = Requester::of(attachment).robot;
+        let Some(Requester { robot: sender, .. }) = Requester::of(key, attachment) else {
+            return;
+        };
         let is_short = payload.bytes.len() <= MAX_VALUE_BYTES;
         let value = is_short.then(|| payload.value().or_else(|_| payload.text().map(Value::from)));
         let report = RequestReport {
