@@ -124,7 +124,13 @@ async fn query_with_wildcards_of_a_stock_program_runs_no_service() {
     assert_eq!(requests.load(Ordering::Acquire), 0);
     let stock = b.zenoh().get("rect/a/home").timeout(TIMEOUT).wait();
     let replies = stock.expect("asked");
-    assert_eq!(replies.iter().filter(|reply| reply.result().is_ok()).count(), 1);
+    assert_eq!(
+        replies
+            .iter()
+            .filter(|reply| reply.result().is_ok())
+            .count(),
+        1
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
