@@ -312,11 +312,10 @@ async fn transfers_time_out_if_the_program_takes_none() {
         .await
         .expect("declared");
     let send = |content: &'static str| {
-        let transfer = a.transfer("b", "notes", content).expect("valid arguments");
-        timeout(
-            TIMEOUT,
-            transfer.timeout(Duration::from_millis(500)).into_future(),
-        )
+        let transfer = a.transfer("b", "notes", content.as_bytes().to_vec());
+        let transfer = transfer.expect("valid arguments");
+        let transfer = transfer.timeout(Duration::from_millis(500));
+        timeout(TIMEOUT, transfer.into_future())
     };
     send("first")
         .await
