@@ -47,12 +47,16 @@ def token(session: zenoh.Session, number: int) -> object:
     return session.liveliness().declare_token(f"rect/wombat-1/token/{number:06}")
 
 
+def long_token(session: zenoh.Session, number: int) -> object:
+    return session.liveliness().declare_token(f"rect/wombat-1/{'token-' * 28}{number:08}")
+
+
 CASES = [
     Case("1000 queryables", 1_000, queryable),
     Case("1000 subscribers", 1_000, subscriber),
     Case("1000 subscribers to overlapping wildcards (`rect/**/<number>/**`)", 1_000, overlapping),
-    Case("10,000 queryables", 10_000, queryable),
-    Case("100,000 liveliness tokens", 100_000, token),
+    Case("2500 liveliness tokens with keys of 190 bytes", 2_500, long_token),
+    Case("10,000 liveliness tokens", 10_000, token),
 ]
 
 
