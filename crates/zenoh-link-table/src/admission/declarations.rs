@@ -192,12 +192,12 @@ fn next_message(reader: &mut &[u8]) -> Option<bool> {
 mod tests {
     use zenoh_codec::WCodec;
     use zenoh_protocol::{
-        core::{Priority, Reliability, Resolution, WireExpr, ZenohIdProto},
+        core::{Priority, Reliability, WireExpr},
         network::{
             declare::{self, DeclareToken},
             DeclareFinal,
         },
-        transport::{frame, init},
+        transport::frame,
     };
 
     use super::*;
@@ -234,27 +234,14 @@ mod tests {
         bytes
     }
 
+    /// Returns the first batch of a session: the version, what the other side is with the length of its id, and its id.
     fn init(whatami: WhatAmI) -> Vec<u8> {
-        let message = InitSyn {
-            version: 9,
-            whatami,
-            zid: ZenohIdProto::try_from([1]).expect("an id"),
-            resolution: Resolution::default(),
-            batch_size: 65_535,
-            ext_qos: None,
-            ext_qos_link: None,
-            #[cfg(feature = "shared-memory")]
-            ext_shm: None,
-            ext_auth: None,
-            ext_mlink: None,
-            ext_lowlatency: None,
-            ext_compression: None,
-            ext_patch: init::ext::PatchType::CURRENT,
-            ext_region_name: None,
+        let whatami = match whatami {
+            WhatAmI::Router => 0,
+            WhatAmI::Peer => 1,
+            WhatAmI::Client => 2,
         };
-        let mut bytes = Vec::new();
-        assert!(Zenoh080::new().write(&mut bytes, &message).is_ok());
-        bytes
+        vec![transport::INIT, 9, whatami, 1]
     }
 
     /// A session that sends batches, and the time.
