@@ -115,7 +115,7 @@ impl Gaps {
             Order::Next { .. } => 0,
             Order::Repeated | Order::Late => 1,
             Order::Renumbered { miscounted } => {
-                // What came from elsewhere is not compared with the messages from now on.
+                // The message with the wrong number may have had a wrong time, too.
                 source.ages = Ages::default();
                 u64::from(miscounted)
             }

@@ -56,7 +56,7 @@ pub enum SendError {
     Failed(Fault),
     /// The receiver did not answer, or its program takes no transfers.
     TimedOut {
-        /// What was expected, for the text of the error.
+        /// The expected event, for the text of the error.
         expected: String,
         /// For how long it was expected.
         timeout: Duration,

@@ -72,8 +72,8 @@ impl TransferReception {
         self.admission.on_received_bytes(id, received_bytes);
     }
 
-    /// Handles that a transfer has arrived, or failed, and waits until the program has room for the outcome. Its sender is told,
-    /// whose timeout applies.
+    /// Handles that a transfer has arrived, or failed, and waits until the program has room for the outcome. The timeout of its sender
+    /// applies to this time.
     pub fn on_untaken(&mut self, id: TransferId) {
         self.admission.on_untaken(id);
     }

@@ -29,12 +29,12 @@ pub const PER_S: u32 = 50;
 /// Number of bytes that are read ahead of a session that waits.
 const MAX_AHEAD_BYTES: usize = 1 << 20;
 
-/// What a session sends over a link that carries a stream: batches, each behind its length.
+/// The stream of a session: batches, each behind its length.
 #[derive(Debug)]
 pub struct Incoming {
     rate: Rate,
     next: Part,
-    /// What was read ahead.
+    /// The bytes that were read ahead.
     ahead: VecDeque<u8>,
     has_waited: bool,
 }

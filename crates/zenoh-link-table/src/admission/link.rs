@@ -36,7 +36,7 @@ pub(super) struct AdmittedLink {
     /// Cancelled when the handshake must end.
     handshake: CancellationToken,
     deadline: Instant,
-    /// What is read from the link; locked by its only reader.
+    /// The stream that is read from the link; locked by its only reader.
     incoming: Mutex<Incoming>,
 }
 
