@@ -164,7 +164,17 @@ fn declarations(batch: &[u8]) -> u32 {
     std::iter::from_fn(next).map(u32::from).sum()
 }
 
-/// Reads a message, and returns whether it is a declaration. Returns `None` if it is one that is not sent beside declarations.
+/// Returns whether a router forwards a declaration. The short forms of keys apply to one link only.
+fn is_forwarded(body: &DeclareBody) -> bool {
+    !matches!(
+        body,
+        DeclareBody::DeclareKeyExpr(_)
+            | DeclareBody::UndeclareKeyExpr(_)
+            | DeclareBody::DeclareFinal(_)
+    )
+}
+
+/// Reads a message, and returns whether it is a declaration that counts. Returns `None` if it is one that is not sent beside declarations.
 fn next_message(reader: &mut &[u8]) -> Option<bool> {
     let codec = Zenoh080::new();
     Some(match imsg::mid(*reader.first()?) {
@@ -182,7 +192,7 @@ fn next_message(reader: &mut &[u8]) -> Option<bool> {
         }
         network::DECLARE => {
             let declare: Declare = codec.read(reader).ok()?;
-            !matches!(declare.body, DeclareBody::DeclareFinal(_))
+            is_forwarded(&declare.body)
         }
         _ => return None,
     })
@@ -194,7 +204,7 @@ mod tests {
     use zenoh_protocol::{
         core::{Priority, Reliability, WireExpr},
         network::{
-            declare::{self, DeclareToken},
+            declare::{self, DeclareKeyExpr, DeclareToken},
             DeclareFinal,
         },
         transport::frame,
@@ -212,7 +222,7 @@ mod tests {
         }
     }
 
-    /// Returns a batch with a frame of that many tokens, and the end of the answer to an interest.
+    /// Returns a batch with a frame of that many tokens and keys, and the end of the answer to an interest.
     fn batch(tokens: u32) -> Vec<u8> {
         let (codec, mut bytes) = (Zenoh080::new(), Vec::new());
         let header = FrameHeader {
@@ -228,6 +238,12 @@ mod tests {
             };
             let token = declare(DeclareBody::DeclareToken(token));
             assert!(codec.write(&mut bytes, &token).is_ok());
+            let key = DeclareKeyExpr {
+                id: id as u16,
+                wire_expr: WireExpr::from("rect/wombat-1/token"),
+            };
+            let key = declare(DeclareBody::DeclareKeyExpr(key));
+            assert!(codec.write(&mut bytes, &key).is_ok());
         }
         let end = declare(DeclareBody::DeclareFinal(DeclareFinal));
         assert!(codec.write(&mut bytes, &end).is_ok());
