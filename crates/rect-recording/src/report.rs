@@ -132,7 +132,8 @@ impl Recorder {
         }
     }
 
-    /// Records a request to the service with this key, which is one of the robot of `place`.
+    /// Records a request to the service with this key, which is one of the robot of `place`. A query that is not a request is not
+    /// recorded.
     pub fn on_request(
         &self,
         place: &KeySpace,
@@ -140,7 +141,9 @@ impl Recorder {
         attachment: Option<&[u8]>,
         payload: &Payload,
     ) {
-        let sender = Requester::of(attachment).robot;
+        let Some(Requester { robot: sender, .. }) = Requester::of(key, attachment) else {
+            return;
+        };
         let is_short = payload.bytes.len() <= MAX_VALUE_BYTES;
         let limits = Limits {
             max_bytes: MAX_VALUE_BYTES,

@@ -13,7 +13,7 @@ use crate::{
     args::DoctorArgs,
     commands::client::{answers, session},
     connections::file::{self, Limits},
-    doctor::{encryption, names, radio, Finding},
+    doctor::{declarations, encryption, names, radio, Finding},
     registry::now_s,
 };
 
@@ -47,6 +47,10 @@ pub fn findings(args: &DoctorArgs) -> Vec<Finding> {
         let may_choose = status
             .iter()
             .find_map(|(_, status)| status["chooses_intervals"].as_bool());
+        let delayed = status
+            .iter()
+            .find_map(|(_, status)| status["delayed_declarations"].as_u64());
+        findings.extend(declarations::finding(delayed.unwrap_or_default()));
         for (_, connections) in replies(&session, &format!("{own}/connections")) {
             findings.extend(radio::findings(&connections, may_choose));
             findings.extend(encryption::findings(&connections));
