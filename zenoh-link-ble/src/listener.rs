@@ -408,10 +408,6 @@ impl Listener {
         })?;
         let action = self.node.intervals().next_action();
         self.node.perform(action);
-        tokio::select! {
-            () = self.node.wait_for_holdoff(number) => {}
-            () = link.ended() => {}
-        }
         // A link that has ended meanwhile is not handed to Zenoh.
         link.check().map(|()| Some(link))
     }
