@@ -175,10 +175,15 @@ impl Drop for Session {
 struct Hold(HoldId);
 
 impl Hold {
-    /// Records that a link has completed its handshake. `end` is cancelled to end it.
-    fn new(pair: ZenohPair, heard: Arc<LastHeard>, end: CancellationToken) -> Self {
+    /// Records that a link has completed its handshake. `lease` is that of the peer, and `end` is cancelled to end the link.
+    fn new(
+        pair: ZenohPair,
+        heard: Arc<LastHeard>,
+        lease: Duration,
+        end: CancellationToken,
+    ) -> Self {
         let mut state = STATE.lock();
-        let id = state.ledger.on_link(pair, heard);
+        let id = state.ledger.on_link(pair, heard, lease);
         state.ends.insert(id, end);
         Self(id)
     }

@@ -2,11 +2,11 @@
 //! waiting.
 use std::{
     collections::HashMap,
+    sync::Arc,
     time::{Duration, Instant},
 };
 
 use parking_lot::Mutex;
-use std::sync::Arc;
 use zenoh_protocol::core::{WhatAmI, ZenohIdProto};
 
 use super::ZenohPair;
@@ -18,9 +18,9 @@ use super::ZenohPair;
 /// to the next one. A neighbour that is added before the removal of another one was computed does not count as new, and
 /// receives no declarations.
 const HOLDOFF: Duration = Duration::from_millis(300);
-/// How long a link may be silent until a new one shows that the peer has lost it: longer than the time between two keep-alives,
-/// 2.5 s.
-const SILENCE: Duration = Duration::from_secs(3);
+/// How long a link may be silent until a new one shows that the peer has lost it, in tenths of the lease. A keep-alive arrives four
+/// times within the lease.
+const SILENCE_TENTHS: u32 = 3;
 /// How long after the arrival of a new link something has to be received on an earlier one to show that the peer still has it. What
 /// was on the way arrives sooner.
 const ALIVE_AFTER: Duration = Duration::from_secs(1);
@@ -64,11 +64,21 @@ pub(super) enum Step {
 enum Held {
     Link {
         heard: Arc<LastHeard>,
+        silence: Duration,
         is_ended: bool,
     },
     Session {
         closed_at: Option<Instant>,
     },
+}
+
+/// A link that has not ended.
+struct Working {
+    id: HoldId,
+    /// When something was received.
+    heard_at: Instant,
+    /// When the link counts as silent.
+    silent_at: Instant,
 }
 
 /// The links and sessions that Zenoh holds.
@@ -81,10 +91,19 @@ pub(super) struct Ledger {
 }
 
 impl Ledger {
-    /// Records that a link has completed its handshake.
-    pub(super) fn on_link(&mut self, pair: ZenohPair, heard: Arc<LastHeard>) -> HoldId {
-        let is_ended = false;
-        self.hold(pair, Held::Link { heard, is_ended })
+    /// Records that a link has completed its handshake. `lease` is that of the peer.
+    pub(super) fn on_link(
+        &mut self,
+        pair: ZenohPair,
+        heard: Arc<LastHeard>,
+        lease: Duration,
+    ) -> HoldId {
+        let link = Held::Link {
+            heard,
+            silence: lease * SILENCE_TENTHS / 10,
+            is_ended: false,
+        };
+        self.hold(pair, link)
     }
 
     /// Records that Zenoh has opened a session.
@@ -109,7 +128,7 @@ impl Ledger {
             *id > session && is_same(of, &pair) && matches!(held, Held::Session { closed_at: None })
         };
         if is_repeated || self.held.iter().any(is_successor) {
-            return self.working(&pair).map(|(id, _)| id).collect();
+            return self.working(&pair).map(|link| link.id).collect();
         }
         Vec::new()
     }
@@ -126,15 +145,16 @@ impl Ledger {
 
     /// Returns what a new link does next that has waited since then.
     pub(super) fn step(&self, pair: ZenohPair, since: Instant, now: Instant) -> Step {
-        if let Some(last) = self.working(&pair).map(|(_, heard)| heard).max() {
+        if let Some(silent_at) = self.working(&pair).map(|link| link.silent_at).max() {
             // The peer uses the session: Zenoh decides whether it may have another link.
-            if last >= since + ALIVE_AFTER {
+            let is_used = |link: Working| link.heard_at >= since + ALIVE_AFTER;
+            if self.working(&pair).any(is_used) {
                 return Step::Proceed;
             }
-            if now >= last + SILENCE {
-                return Step::End(self.working(&pair).map(|(id, _)| id).collect());
+            if now >= silent_at {
+                return Step::End(self.working(&pair).map(|link| link.id).collect());
             }
-            return Step::Wait(Some(last + SILENCE));
+            return Step::Wait(Some(silent_at));
         }
         let mut until = None;
         for (_, held) in self.held.values().filter(|(of, _)| is_same(of, &pair)) {
@@ -155,13 +175,18 @@ impl Ledger {
         }
     }
 
-    /// Returns the links between the two that have not ended, and when something was received on each.
-    fn working<'a>(&'a self, pair: &'a ZenohPair) -> impl Iterator<Item = (HoldId, Instant)> + 'a {
+    /// Returns the links between the two that have not ended.
+    fn working<'a>(&'a self, pair: &'a ZenohPair) -> impl Iterator<Item = Working> + 'a {
         self.held.iter().filter_map(|(id, (of, held))| match held {
             Held::Link {
                 heard,
+                silence,
                 is_ended: false,
-            } if is_same(of, pair) => Some((*id, heard.get())),
+            } if is_same(of, pair) => Some(Working {
+                id: *id,
+                heard_at: heard.get(),
+                silent_at: heard.get() + *silence,
+            }),
             _ => None,
         })
     }
@@ -202,12 +227,14 @@ mod tests {
     }
 
     const MS: Duration = Duration::from_millis(1);
+    const LEASE: Duration = Duration::from_secs(10);
+    const SILENCE: Duration = Duration::from_secs(3);
 
     #[test]
     fn link_waits_until_zenoh_has_released_the_predecessor_and_computed_its_routes() {
         let (mut ledger, pair, start) = (Ledger::default(), pair(), Instant::now());
         assert_eq!(ledger.step(pair, start, start), Step::Proceed);
-        let link = ledger.on_link(pair, heard(start));
+        let link = ledger.on_link(pair, heard(start), LEASE);
         let session = ledger.on_session(pair);
         ledger.on_link_ended(link);
         assert_eq!(ledger.step(pair, start, start), Step::Wait(None));
@@ -226,7 +253,7 @@ mod tests {
             own: gone.own,
             ..pair()
         };
-        let link = ledger.on_link(gone, heard(start));
+        let link = ledger.on_link(gone, heard(start), LEASE);
         ledger.on_link_ended(link);
         assert_eq!(ledger.step(other, start, start), Step::Proceed);
         ledger.on_released(link, start);
@@ -246,7 +273,7 @@ mod tests {
     fn silent_predecessor_ends_and_a_living_one_does_not() {
         let (mut ledger, pair, start) = (Ledger::default(), pair(), Instant::now());
         let last = heard(start);
-        let link = ledger.on_link(pair, Arc::clone(&last));
+        let link = ledger.on_link(pair, Arc::clone(&last), LEASE);
         let end = start + SILENCE;
         assert_eq!(ledger.step(pair, start, start), Step::Wait(Some(end)));
         assert_eq!(ledger.step(pair, start, end), Step::End(vec![link]));
@@ -274,7 +301,7 @@ mod tests {
         let (mut ledger, pair, start) = (Ledger::default(), pair(), Instant::now());
         let session = ledger.on_session(pair);
         assert!(ledger.on_session_closed(session, start).is_empty());
-        let successor = ledger.on_link(pair, heard(start));
+        let successor = ledger.on_link(pair, heard(start), LEASE);
         let _session = ledger.on_session(pair);
         assert_eq!(ledger.on_session_closed(session, start), [successor]);
         // A session that is closed although it has a successor damages it, too.
@@ -290,7 +317,7 @@ mod tests {
         let (mut ledger, start) = (Ledger::default(), Instant::now());
         for n in 0..100 {
             let pair = pair();
-            let link = ledger.on_link(pair, heard(start));
+            let link = ledger.on_link(pair, heard(start), LEASE);
             let session = ledger.on_session(pair);
             ledger.on_released(link, start + HOLDOFF * n);
             ledger.on_released(session, start + HOLDOFF * n);

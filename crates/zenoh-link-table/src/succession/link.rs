@@ -25,6 +25,8 @@ use super::{
     wait_for_predecessor, Hold, ZenohNode, ZenohPair,
 };
 
+/// The longest lease that a peer may announce. A longer one counts as this one.
+const MAX_LEASE: Duration = Duration::from_secs(24 * 3600);
 /// How long before the end of Zenoh's lease a silent link fails, as a share of the lease.
 const EARLIER: u32 = 20;
 /// How long after the tasks that write the tasks that read learn of the end. Zenoh's messages that wait for a link are released
@@ -141,8 +143,14 @@ impl SucceedingLink {
     fn establish(&self) {
         self.heard.set(Instant::now().into_std());
         let lease = self.handshake.lock().lease;
+        let lease = lease.map(|lease| lease.min(MAX_LEASE));
         if let (Some(pair), Some(lease)) = (self.pair(), lease) {
-            let hold = Arc::new(Hold::new(pair, Arc::clone(&self.heard), self.ended.clone()));
+            let hold = Arc::new(Hold::new(
+                pair,
+                Arc::clone(&self.heard),
+                lease,
+                self.ended.clone(),
+            ));
             let watching = watch(
                 Arc::downgrade(&hold),
                 Arc::clone(&self.heard),

@@ -312,7 +312,7 @@ impl World {
         self.links[number].ends[side].heard.set(now);
         let heard = Arc::clone(&self.links[number].ends[side].heard);
         let at = &mut self.sides[side];
-        self.links[number].ends[side].hold = Some(at.ledger.on_link(at.pair, heard));
+        self.links[number].ends[side].hold = Some(at.ledger.on_link(at.pair, heard, LEASE));
         match current {
             Some(current) => at.sessions[current].links.push(number),
             None => {
