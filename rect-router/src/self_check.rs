@@ -15,7 +15,7 @@ use std::{
     time::Duration,
 };
 
-use zenoh::{Session, Wait};
+use zenoh::{query::Reply, Session, Wait};
 
 /// How often the router looks for the answer, and asks again.
 pub const EVERY: Duration = Duration::from_secs(10);
@@ -113,8 +113,9 @@ fn ask(session: &Session, key: &str) -> bool {
     let Ok(replies) = replies else {
         return false;
     };
-    // The last reply is followed by the end of the channel, which the router's tables cause.
-    replies.into_iter().any(|reply| reply.result().is_ok())
+    // The channel ends when the router's tables have answered, too.
+    let is_answer = |any, reply: Reply| any | reply.result().is_ok();
+    replies.into_iter().fold(false, is_answer)
 }
 
 #[cfg(test)]

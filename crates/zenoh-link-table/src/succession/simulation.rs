@@ -435,9 +435,9 @@ impl World {
             let link = &self.links[*number];
             link.stage == Stage::Open && link.ends.iter().all(|end| end.ended_at.is_none())
         };
-        let shared = one.links.iter().filter(|number| two.links.contains(number));
+        let mut shared = one.links.iter().filter(|number| two.links.contains(number));
         let has_routes = !self.sides.iter().any(|side| side.is_without_routes);
-        self.is_up && has_routes && self.is_consistent() && shared.into_iter().any(is_open)
+        self.is_up && has_routes && self.is_consistent() && shared.any(is_open)
     }
 
     /// Returns whether the sessions of both sides are the same one.
