@@ -209,7 +209,8 @@ fn is_between_routers(pair: &ZenohPair) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::{super::ZenohNode, *};
+    use super::*;
+    use crate::succession::ZenohNode;
 
     fn pair() -> ZenohPair {
         let router = || ZenohNode {
