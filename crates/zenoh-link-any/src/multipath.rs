@@ -98,7 +98,7 @@ pub struct Multipath {
     /// Since when no path works.
     silent_since: Option<Instant>,
     /// When a frame arrived for the last time.
-    heard_at: Instant,
+    received_at: Instant,
     /// The code of the reason with which this side ends the link.
     closing: Option<u8>,
     end: Option<End>,
@@ -126,7 +126,7 @@ impl Multipath {
             change: 0,
             peer_change: 0,
             silent_since: Some(now),
-            heard_at: now,
+            received_at: now,
             closing: None,
             end: None,
             switches: 0,
@@ -219,7 +219,7 @@ impl Multipath {
         let Some(path) = self.paths.get_mut(&id) else {
             return Ok(Change::Nothing);
         };
-        self.heard_at = now;
+        self.received_at = now;
         match frame::decode(bytes)? {
             Frame::Data {
                 lane,
@@ -439,7 +439,7 @@ impl Multipath {
 
     /// Returns whether the peer evidently has the link, too: a path works, and something has arrived recently.
     pub fn is_shared(&self, now: Instant) -> bool {
-        self.paths.values().any(Path::is_live) && now < self.heard_at + SILENCE
+        self.paths.values().any(Path::is_live) && now < self.received_at + SILENCE
     }
 
     /// Returns the paths.

@@ -41,7 +41,7 @@ use zenoh_protocol::core::{WhatAmI, ZenohIdProto};
 use zenoh_runtime::ZRuntime;
 
 use self::{
-    ledger::{HoldId, LastHeard, Ledger, Step},
+    ledger::{HoldId, LastReceived, Ledger, Step},
     link::SucceedingLink,
     manager::SucceedingManager,
 };
@@ -178,12 +178,12 @@ impl Hold {
     /// Records that a link has completed its handshake. `lease` is that of the peer, and `end` is cancelled to end the link.
     fn new(
         pair: ZenohPair,
-        heard: Arc<LastHeard>,
+        received: Arc<LastReceived>,
         lease: Duration,
         end: CancellationToken,
     ) -> Self {
         let mut state = STATE.lock();
-        let id = state.ledger.on_link(pair, heard, lease);
+        let id = state.ledger.on_link(pair, received, lease);
         state.ends.insert(id, end);
         Self(id)
     }

@@ -469,7 +469,7 @@ mod tests {
         }
     }
 
-    /// A link that carries 30 kB/s and stands still now and then. What waited arrives at once afterwards.
+    /// A link that carries 30 kB/s and stands still now and then. The frames that waited arrive at once afterwards.
     #[test]
     fn pace_includes_the_pauses_of_the_link() {
         let start = Instant::now();

@@ -21,8 +21,8 @@ const HOLDOFF: Duration = Duration::from_millis(300);
 /// How long a link may be silent until a new one shows that the peer has lost it, in tenths of the lease. A keep-alive arrives four
 /// times within the lease.
 const SILENCE_TENTHS: u32 = 3;
-/// How long after the arrival of a new link something has to be received on an earlier one to show that the peer still has it. What
-/// was on the way arrives sooner.
+/// How long after the arrival of a new link something has to be received on an earlier one to show that the peer still has it.
+/// Messages that were on the way arrive sooner.
 const ALIVE_AFTER: Duration = Duration::from_secs(1);
 /// How long Zenoh's tasks of a session that was closed may run on before it counts as released.
 const CLOSED_GRACE: Duration = Duration::from_secs(1);
@@ -33,9 +33,9 @@ pub(super) struct HoldId(u64);
 
 /// When something was received on a link for the last time.
 #[derive(Debug)]
-pub(super) struct LastHeard(Mutex<Instant>);
+pub(super) struct LastReceived(Mutex<Instant>);
 
-impl LastHeard {
+impl LastReceived {
     pub(super) fn new(now: Instant) -> Self {
         Self(Mutex::new(now))
     }
@@ -49,7 +49,7 @@ impl LastHeard {
     }
 }
 
-/// What a new link does next.
+/// The next step of a new link.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Step {
     /// It goes on.
@@ -63,7 +63,7 @@ pub(super) enum Step {
 #[derive(Debug)]
 enum Held {
     Link {
-        heard: Arc<LastHeard>,
+        received: Arc<LastReceived>,
         silence: Duration,
         is_ended: bool,
     },
@@ -76,7 +76,7 @@ enum Held {
 struct Working {
     id: HoldId,
     /// When something was received.
-    heard_at: Instant,
+    received_at: Instant,
     /// When the link counts as silent.
     silent_at: Instant,
 }
@@ -95,11 +95,11 @@ impl Ledger {
     pub(super) fn on_link(
         &mut self,
         pair: ZenohPair,
-        heard: Arc<LastHeard>,
+        received: Arc<LastReceived>,
         lease: Duration,
     ) -> HoldId {
         let link = Held::Link {
-            heard,
+            received,
             silence: lease * SILENCE_TENTHS / 10,
             is_ended: false,
         };
@@ -147,7 +147,7 @@ impl Ledger {
     pub(super) fn step(&self, pair: ZenohPair, since: Instant, now: Instant) -> Step {
         if let Some(silent_at) = self.working(&pair).map(|link| link.silent_at).max() {
             // The peer uses the session: Zenoh decides whether it may have another link.
-            let is_used = |link: Working| link.heard_at >= since + ALIVE_AFTER;
+            let is_used = |link: Working| link.received_at >= since + ALIVE_AFTER;
             if self.working(&pair).any(is_used) {
                 return Step::Proceed;
             }
@@ -179,13 +179,13 @@ impl Ledger {
     fn working<'a>(&'a self, pair: &'a ZenohPair) -> impl Iterator<Item = Working> + 'a {
         self.held.iter().filter_map(|(id, (of, held))| match held {
             Held::Link {
-                heard,
+                received,
                 silence,
                 is_ended: false,
             } if is_same(of, pair) => Some(Working {
                 id: *id,
-                heard_at: heard.get(),
-                silent_at: heard.get() + *silence,
+                received_at: received.get(),
+                silent_at: received.get() + *silence,
             }),
             _ => None,
         })
@@ -223,8 +223,8 @@ mod tests {
         }
     }
 
-    fn heard(at: Instant) -> Arc<LastHeard> {
-        Arc::new(LastHeard::new(at))
+    fn received(at: Instant) -> Arc<LastReceived> {
+        Arc::new(LastReceived::new(at))
     }
 
     const MS: Duration = Duration::from_millis(1);
@@ -235,7 +235,7 @@ mod tests {
     fn link_waits_until_zenoh_has_released_the_predecessor_and_computed_its_routes() {
         let (mut ledger, pair, start) = (Ledger::default(), pair(), Instant::now());
         assert_eq!(ledger.step(pair, start, start), Step::Proceed);
-        let link = ledger.on_link(pair, heard(start), LEASE);
+        let link = ledger.on_link(pair, received(start), LEASE);
         let session = ledger.on_session(pair);
         ledger.on_link_ended(link);
         assert_eq!(ledger.step(pair, start, start), Step::Wait(None));
@@ -254,7 +254,7 @@ mod tests {
             own: gone.own,
             ..pair()
         };
-        let link = ledger.on_link(gone, heard(start), LEASE);
+        let link = ledger.on_link(gone, received(start), LEASE);
         ledger.on_link_ended(link);
         assert_eq!(ledger.step(other, start, start), Step::Proceed);
         ledger.on_released(link, start);
@@ -273,12 +273,12 @@ mod tests {
     #[test]
     fn silent_predecessor_ends_and_a_living_one_does_not() {
         let (mut ledger, pair, start) = (Ledger::default(), pair(), Instant::now());
-        let last = heard(start);
+        let last = received(start);
         let link = ledger.on_link(pair, Arc::clone(&last), LEASE);
         let end = start + SILENCE;
         assert_eq!(ledger.step(pair, start, start), Step::Wait(Some(end)));
         assert_eq!(ledger.step(pair, start, end), Step::End(vec![link]));
-        // What was on the way does not show that the peer still has the link.
+        // A message that was on the way does not show that the peer still has the link.
         last.set(start + ALIVE_AFTER - MS);
         let end = end + ALIVE_AFTER - MS;
         assert_eq!(ledger.step(pair, start, end - MS), Step::Wait(Some(end)));
@@ -302,7 +302,7 @@ mod tests {
         let (mut ledger, pair, start) = (Ledger::default(), pair(), Instant::now());
         let session = ledger.on_session(pair);
         assert!(ledger.on_session_closed(session, start).is_empty());
-        let successor = ledger.on_link(pair, heard(start), LEASE);
+        let successor = ledger.on_link(pair, received(start), LEASE);
         let _session = ledger.on_session(pair);
         assert_eq!(ledger.on_session_closed(session, start), [successor]);
         // A session that is closed although it has a successor damages it, too.
@@ -318,7 +318,7 @@ mod tests {
         let (mut ledger, start) = (Ledger::default(), Instant::now());
         for n in 0..100 {
             let pair = pair();
-            let link = ledger.on_link(pair, heard(start), LEASE);
+            let link = ledger.on_link(pair, received(start), LEASE);
             let session = ledger.on_session(pair);
             ledger.on_released(link, start + HOLDOFF * n);
             ledger.on_released(session, start + HOLDOFF * n);

@@ -21,7 +21,7 @@ use zenoh_result::{zerror, Error, ZResult};
 
 use super::{
     handshake::{decode, Message},
-    ledger::LastHeard,
+    ledger::LastReceived,
     wait_for_predecessor, Hold, ZenohNode, ZenohPair,
 };
 
@@ -40,12 +40,12 @@ pub(super) struct SucceedingLink {
     link: Arc<dyn LinkUnicastTrait>,
     is_complete: AtomicBool,
     handshake: Mutex<Handshake>,
-    heard: Arc<LastHeard>,
+    received: Arc<LastReceived>,
     established: OnceLock<Established>,
     ended: CancellationToken,
 }
 
-/// What is known of Zenoh's handshake.
+/// The state of Zenoh's handshake, as far as it is known.
 #[derive(Default)]
 struct Handshake {
     own: Option<ZenohNode>,
@@ -66,24 +66,24 @@ impl SucceedingLink {
     /// Wraps a new link.
     pub(super) fn wrap(link: LinkUnicast) -> LinkUnicast {
         LinkUnicast(match link.0 {
-            NewLink::Single(link) => NewLink::Single(Self::new(link)),
+            NewLink::Single(link) => NewLink::Single(Self::wrapped(link)),
             // The handshake runs on the reliable link, and both links end together.
             NewLink::MixedReliability {
                 reliable,
                 best_effort,
             } => NewLink::MixedReliability {
-                reliable: Self::new(reliable),
+                reliable: Self::wrapped(reliable),
                 best_effort,
             },
         })
     }
 
-    fn new(link: Arc<dyn LinkUnicastTrait>) -> Arc<dyn LinkUnicastTrait> {
+    fn wrapped(link: Arc<dyn LinkUnicastTrait>) -> Arc<dyn LinkUnicastTrait> {
         Arc::new(Self {
             link,
             is_complete: AtomicBool::new(false),
             handshake: Mutex::default(),
-            heard: Arc::new(LastHeard::new(Instant::now().into_std())),
+            received: Arc::new(LastReceived::new(Instant::now().into_std())),
             established: OnceLock::new(),
             ended: CancellationToken::new(),
         })
@@ -141,19 +141,19 @@ impl SucceedingLink {
     }
 
     fn establish(&self) {
-        self.heard.set(Instant::now().into_std());
+        self.received.set(Instant::now().into_std());
         let lease = self.handshake.lock().lease;
         let lease = lease.map(|lease| lease.min(MAX_LEASE));
         if let (Some(pair), Some(lease)) = (self.pair(), lease) {
             let hold = Arc::new(Hold::new(
                 pair,
-                Arc::clone(&self.heard),
+                Arc::clone(&self.received),
                 lease,
                 self.ended.clone(),
             ));
             let watching = watch(
                 Arc::downgrade(&hold),
-                Arc::clone(&self.heard),
+                Arc::clone(&self.received),
                 self.ended.clone(),
                 lease - lease / EARLIER,
                 self.link.get_dst().to_string(),
@@ -201,7 +201,7 @@ impl SucceedingLink {
             () = self.ended.cancelled() => Err(self.has_ended()),
         };
         match &received {
-            Ok(_) => self.heard.set(Instant::now().into_std()),
+            Ok(_) => self.received.set(Instant::now().into_std()),
             Err(_) => {
                 self.end();
                 if self.is_complete() {
@@ -220,14 +220,14 @@ impl SucceedingLink {
 /// Ends a link on which nothing was received for `limit`.
 async fn watch(
     hold: Weak<Hold>,
-    heard: Arc<LastHeard>,
+    received: Arc<LastReceived>,
     ended: CancellationToken,
     limit: Duration,
     peer: String,
 ) {
     let silent = async {
         loop {
-            let at = Instant::from_std(heard.get()) + limit;
+            let at = Instant::from_std(received.get()) + limit;
             if Instant::now() >= at {
                 return;
             }
@@ -325,7 +325,7 @@ impl LinkUnicastTrait for SucceedingLink {
     fn get_fd(&self) -> ZResult<std::os::fd::RawFd> {
         // Zenoh then reads without this link, which never counts as silent.
         let never = Duration::from_secs(10 * 365 * 24 * 3600);
-        self.heard.set(Instant::now().into_std() + never);
+        self.received.set(Instant::now().into_std() + never);
         self.link.get_fd()
     }
 }
@@ -451,7 +451,7 @@ mod tests {
     }
 
     fn link_that_receives(batches: Vec<Vec<u8>>, has_room: bool) -> Arc<dyn LinkUnicastTrait> {
-        SucceedingLink::new(Arc::new(StuckLink {
+        SucceedingLink::wrapped(Arc::new(StuckLink {
             locator: "tcp/127.0.0.1:1".parse().expect("a locator"),
             batches: Mutex::new(batches.into()),
             has_room,

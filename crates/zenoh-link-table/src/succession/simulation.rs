@@ -9,7 +9,7 @@ use std::{
 use zenoh_protocol::core::{WhatAmI, ZenohIdProto};
 
 use super::{
-    ledger::{HoldId, LastHeard, Ledger, Step},
+    ledger::{HoldId, LastReceived, Ledger, Step},
     ZenohNode, ZenohPair, MAX_WAIT,
 };
 
@@ -44,7 +44,7 @@ impl Random {
     }
 }
 
-/// What a link does when a new one of the same peer arrives.
+/// The effect of a new link on an earlier one with the same peer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
     /// `ble/` or `any/`: the hello of the new link ends the earlier one.
@@ -64,7 +64,7 @@ type LinkNumber = usize;
 
 /// One end of a link.
 struct End {
-    heard: Arc<LastHeard>,
+    received: Arc<LastReceived>,
     ended_at: Option<Instant>,
     hold: Option<HoldId>,
     is_released: bool,
@@ -202,7 +202,7 @@ impl World {
     fn dial(&mut self, dialler: usize) {
         let number = self.links.len();
         let fresh = || End {
-            heard: Arc::new(LastHeard::new(self.now)),
+            received: Arc::new(LastReceived::new(self.now)),
             ended_at: None,
             hold: None,
             is_released: false,
@@ -234,17 +234,17 @@ impl World {
                 for side in 0..2 {
                     let peer_is_open = self.links[number].ends[1 - side].ended_at.is_none();
                     if self.is_up && peer_is_open && keeps_alive {
-                        self.links[number].ends[side].heard.set(now);
+                        self.links[number].ends[side].received.set(now);
                     }
                     let end = &self.links[number].ends[side];
-                    let is_silent = now >= end.heard.get() + LEASE - LEASE / 20;
+                    let is_silent = now >= end.received.get() + LEASE - LEASE / 20;
                     // A radio shows the end of a link at once. TCP repeats it at growing intervals.
                     let percent = match self.kind {
                         Kind::Replaced => 20,
                         Kind::Independent => 2,
                     };
-                    let is_told = self.is_up && !peer_is_open && self.random.is(percent);
-                    if end.ended_at.is_none() && (is_silent || is_told) {
+                    let is_notified = self.is_up && !peer_is_open && self.random.is(percent);
+                    if end.ended_at.is_none() && (is_silent || is_notified) {
                         self.end(number, side);
                     }
                 }
@@ -309,10 +309,10 @@ impl World {
                 return false;
             }
         }
-        self.links[number].ends[side].heard.set(now);
-        let heard = Arc::clone(&self.links[number].ends[side].heard);
+        self.links[number].ends[side].received.set(now);
+        let received = Arc::clone(&self.links[number].ends[side].received);
         let at = &mut self.sides[side];
-        self.links[number].ends[side].hold = Some(at.ledger.on_link(at.pair, heard, LEASE));
+        self.links[number].ends[side].hold = Some(at.ledger.on_link(at.pair, received, LEASE));
         match current {
             Some(current) => at.sessions[current].links.push(number),
             None => {
