@@ -3,6 +3,7 @@ programs publish with congestion control Block."""
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import random
@@ -152,9 +153,7 @@ def run() -> Table:
     return table
 
 
-def measure(
-    link: Callable[[], Iterator[Pair]], shortest: float, longest: float, seed: int, outcome: Outcome
-) -> None:
+def measure(link: Callable[[], Iterator[Pair]], shortest: float, longest: float, seed: int, outcome: Outcome) -> None:
     times = random.Random(seed)
     with link() as pair:
         arrived = Arrivals(pair.far())
@@ -213,7 +212,7 @@ class Arrivals:
     def longest_gap_after(self, at: float) -> float:
         with self._lock:
             times = [at, *(arrived for _, arrived in self._arrived if arrived >= at), time.monotonic()]
-        return max(later - sooner for sooner, later in zip(times, times[1:], strict=False))
+        return max(later - sooner for sooner, later in itertools.pairwise(times))
 
 
 def publish(session: zenoh.Session, kind: str, ended: threading.Event) -> None:
