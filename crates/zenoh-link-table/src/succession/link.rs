@@ -2,7 +2,7 @@
 use std::{
     future::Future,
     sync::{
-        atomic::{AtomicBool, Ordering},
+        atomic::{AtomicBool, AtomicUsize, Ordering},
         Arc, OnceLock, Weak,
     },
     time::Duration,
@@ -41,6 +41,8 @@ pub(super) struct SucceedingLink {
     is_complete: AtomicBool,
     handshake: Mutex<Handshake>,
     received: Arc<LastReceived>,
+    /// Number of Zenoh's tasks that wait for something to arrive.
+    reading: Arc<AtomicUsize>,
     established: OnceLock<Established>,
     ended: CancellationToken,
 }
@@ -84,6 +86,7 @@ impl SucceedingLink {
             is_complete: AtomicBool::new(false),
             handshake: Mutex::default(),
             received: Arc::new(LastReceived::new(Instant::now().into_std())),
+            reading: Arc::default(),
             established: OnceLock::new(),
             ended: CancellationToken::new(),
         })
@@ -154,6 +157,7 @@ impl SucceedingLink {
             let watching = watch(
                 Arc::downgrade(&hold),
                 Arc::clone(&self.received),
+                Arc::clone(&self.reading),
                 self.ended.clone(),
                 lease - lease / EARLIER,
                 self.link.get_dst().to_string(),
@@ -195,11 +199,13 @@ impl SucceedingLink {
 
     /// Receives, unless the link has ended.
     async fn receiving<T>(&self, receiving: impl Future<Output = ZResult<T>>) -> ZResult<T> {
+        let reading = Reading::begin(self);
         let received = tokio::select! {
             biased;
             received = receiving => received,
             () = self.ended.cancelled() => Err(self.has_ended()),
         };
+        drop(reading);
         match &received {
             Ok(_) => self.received.set(Instant::now().into_std()),
             Err(_) => {
@@ -217,10 +223,30 @@ impl SucceedingLink {
     }
 }
 
-/// Ends a link on which nothing was received for `limit`.
+/// A task of Zenoh that waits for something to arrive.
+struct Reading<'a>(&'a SucceedingLink);
+
+impl<'a> Reading<'a> {
+    fn begin(link: &'a SucceedingLink) -> Self {
+        // While no task reads, because a message waits for another link, the peer is not silent.
+        if link.reading.fetch_add(1, Ordering::AcqRel) == 0 {
+            link.received.set(Instant::now().into_std());
+        }
+        Self(link)
+    }
+}
+
+impl Drop for Reading<'_> {
+    fn drop(&mut self) {
+        self.0.reading.fetch_sub(1, Ordering::AcqRel);
+    }
+}
+
+/// Ends a link on which nothing was received for `limit`, although Zenoh reads.
 async fn watch(
     hold: Weak<Hold>,
     received: Arc<LastReceived>,
+    reading: Arc<AtomicUsize>,
     ended: CancellationToken,
     limit: Duration,
     peer: String,
@@ -228,10 +254,13 @@ async fn watch(
     let silent = async {
         loop {
             let at = Instant::from_std(received.get()) + limit;
-            if Instant::now() >= at {
+            if Instant::now() < at {
+                sleep_until(at).await;
+            } else if reading.load(Ordering::Acquire) > 0 {
                 return;
+            } else {
+                sleep(limit).await;
             }
-            sleep_until(at).await;
         }
     };
     if ended.run_until_cancelled(silent).await.is_some() {
@@ -543,6 +572,15 @@ mod tests {
         assert!(wrote >= end && other >= end, "{wrote:?} {other:?}");
         assert!(wrote + SETTLE / 2 < read && other + SETTLE / 2 < read);
         assert!(read < LEASE, "{read:?}");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn link_that_zenoh_does_not_read_is_not_silent() {
+        let link = accept(nodes()).await.expect("a link");
+        sleep(LEASE * 3).await;
+        let mut buffer = [0; 1000];
+        let reading = link.read(&mut buffer, Some(Priority::Data));
+        assert!(timeout(LEASE / 2, reading).await.is_err(), "still open");
     }
 
     #[tokio::test(start_paused = true)]
