@@ -41,8 +41,7 @@ pub(super) struct SucceedingLink {
     is_complete: AtomicBool,
     handshake: Mutex<Handshake>,
     received: Arc<LastReceived>,
-    /// Number of Zenoh's tasks that wait for something to arrive.
-    reading: Arc<AtomicUsize>,
+    reads: Arc<Reads>,
     established: OnceLock<Established>,
     ended: CancellationToken,
 }
@@ -86,7 +85,10 @@ impl SucceedingLink {
             is_complete: AtomicBool::new(false),
             handshake: Mutex::default(),
             received: Arc::new(LastReceived::new(Instant::now().into_std())),
-            reading: Arc::default(),
+            reads: Arc::new(Reads {
+                waiting: AtomicUsize::new(0),
+                since: LastReceived::new(Instant::now().into_std()),
+            }),
             established: OnceLock::new(),
             ended: CancellationToken::new(),
         })
@@ -157,7 +159,7 @@ impl SucceedingLink {
             let watching = watch(
                 Arc::downgrade(&hold),
                 Arc::clone(&self.received),
-                Arc::clone(&self.reading),
+                Arc::clone(&self.reads),
                 self.ended.clone(),
                 lease - lease / EARLIER,
                 self.link.get_dst().to_string(),
@@ -199,7 +201,7 @@ impl SucceedingLink {
 
     /// Receives, unless the link has ended.
     async fn receiving<T>(&self, receiving: impl Future<Output = ZResult<T>>) -> ZResult<T> {
-        let reading = Reading::begin(self);
+        let reading = Reading::begin(&self.reads);
         let received = tokio::select! {
             biased;
             received = receiving => received,
@@ -223,22 +225,29 @@ impl SucceedingLink {
     }
 }
 
-/// A task of Zenoh that waits for something to arrive.
-struct Reading<'a>(&'a SucceedingLink);
+/// Zenoh's tasks that read. While none does, because a message waits for another link, the peer is not silent.
+struct Reads {
+    /// Number of tasks that wait for something to arrive.
+    waiting: AtomicUsize,
+    /// Since when at least one does.
+    since: LastReceived,
+}
+
+/// A task that waits for something to arrive.
+struct Reading<'a>(&'a Reads);
 
 impl<'a> Reading<'a> {
-    fn begin(link: &'a SucceedingLink) -> Self {
-        // While no task reads, because a message waits for another link, the peer is not silent.
-        if link.reading.fetch_add(1, Ordering::AcqRel) == 0 {
-            link.received.set(Instant::now().into_std());
+    fn begin(reads: &'a Reads) -> Self {
+        if reads.waiting.fetch_add(1, Ordering::AcqRel) == 0 {
+            reads.since.set(Instant::now().into_std());
         }
-        Self(link)
+        Self(reads)
     }
 }
 
 impl Drop for Reading<'_> {
     fn drop(&mut self) {
-        self.0.reading.fetch_sub(1, Ordering::AcqRel);
+        self.0.waiting.fetch_sub(1, Ordering::AcqRel);
     }
 }
 
@@ -246,20 +255,21 @@ impl Drop for Reading<'_> {
 async fn watch(
     hold: Weak<Hold>,
     received: Arc<LastReceived>,
-    reading: Arc<AtomicUsize>,
+    reads: Arc<Reads>,
     ended: CancellationToken,
     limit: Duration,
     peer: String,
 ) {
     let silent = async {
         loop {
-            let at = Instant::from_std(received.get()) + limit;
+            let since = received.get().max(reads.since.get());
+            let at = Instant::from_std(since) + limit;
             if Instant::now() < at {
                 sleep_until(at).await;
-            } else if reading.load(Ordering::Acquire) > 0 {
+            } else if reads.waiting.load(Ordering::Acquire) > 0 {
                 return;
             } else {
-                sleep(limit).await;
+                sleep(limit / EARLIER).await;
             }
         }
     };
