@@ -1,7 +1,5 @@
 //! Contract between Zenoh and a `ble` link.
-use std::time::Duration;
 
-use tokio::time::Instant;
 use zenoh_link_commons::LinkManagerUnicastTrait;
 
 use super::World;
