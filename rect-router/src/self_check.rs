@@ -58,7 +58,7 @@ impl Unanswered {
 /// The check of a running router.
 pub struct SelfCheck {
     ask: SyncSender<()>,
-    /// Number of questions that were asked, and answered.
+    /// Number of answers after which the last question is answered, and number of answers.
     asked: u64,
     answered: Arc<AtomicU64>,
     unanswered: Unanswered,
@@ -98,12 +98,14 @@ impl SelfCheck {
 
     /// Looks for the answer to the last question, and asks again.
     pub fn look(&mut self) -> Look {
-        let look = (self.unanswered).on_look(self.answered.load(Ordering::Acquire) >= self.asked);
-        // The thread may still wait for an answer, or may have panicked.
-        if self.ask.try_send(()).is_ok() {
-            self.asked = self.answered.load(Ordering::Acquire) + 1;
+        let answered = self.answered.load(Ordering::Acquire);
+        let is_answered = answered >= self.asked;
+        if is_answered {
+            self.asked = answered + 1;
         }
-        look
+        // The thread may still wait for an answer, or may have panicked: then there is none.
+        let _ = self.ask.try_send(());
+        self.unanswered.on_look(is_answered)
     }
 }
 
