@@ -65,8 +65,7 @@ pub(crate) async fn dial(
     if let Ok(dialled) = tokio::time::timeout(locator.timeout, dialling).await {
         return dialled;
     }
-    // After the handshake, the link with the peer is the one of this dial.
-    if step != DialStep::RerouteHoldoff && node.link_table().is_linked(&locator.target) {
+    if node.link_table().is_linked(&locator.target) {
         return Err(already_linked(locator));
     }
     let target = locator.target.to_string();
@@ -203,11 +202,6 @@ async fn dial_once(
     })?;
     set_if_changed(adapter.radio.as_ref(), device, own, Some(interval)).await;
     node.perform_for_new_link();
-    *step = DialStep::RerouteHoldoff;
-    tokio::select! {
-        () = node.wait_for_holdoff(dialling.number) => {}
-        () = link.ended() => {}
-    }
     // A link that has ended meanwhile is not handed to Zenoh.
     link.check().map(|()| link)
 }

@@ -1,8 +1,7 @@
 //! Implements Zenoh's link trait for an open link, whose batches travel on lanes or, to a plain peer, without framing.
 //!
 //! Its submodules carry the batches (`traffic`, `plain`), decide which links exist ([`table`]), end a link once
-//! (`close_once`), delay its successor (`reroute_holdoff`), and keep what all links of a node share (`node`, `history`,
-//! `open_links`).
+//! (`close_once`), and keep what all links of a node share (`node`, `history`, `open_links`).
 pub(crate) mod close_once;
 pub(crate) mod history;
 pub(crate) mod interval_events;
@@ -12,7 +11,6 @@ mod number;
 mod open_links;
 pub mod path;
 mod plain;
-pub(crate) mod reroute_holdoff;
 pub(crate) mod status;
 pub mod table;
 mod traffic;
@@ -259,14 +257,6 @@ impl LinkBle {
         }
     }
 
-    /// Waits until the link has ended. The end of a plain link is noticed only when it is read: this then never returns.
-    pub(crate) async fn ended(&self) {
-        match &self.batches {
-            Batches::Lanes { traffic, .. } => traffic.ended().await,
-            Batches::Plain(_) => std::future::pending().await,
-        }
-    }
-
     /// Returns the state of the link.
     pub(crate) fn status(&self) -> LinkStatus {
         let (lanes, sent, received) = match &self.batches {
@@ -343,7 +333,6 @@ impl Drop for LinkBle {
     fn drop(&mut self) {
         self.channel.shutdown();
         self.close_once.close("Zenoh dropped it");
-        self.close_once.release();
     }
 }
 

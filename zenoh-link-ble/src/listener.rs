@@ -424,10 +424,6 @@ impl Listener {
             }
         })?;
         self.node.perform_for_new_link();
-        tokio::select! {
-            () = self.node.wait_for_holdoff(number) => {}
-            () = link.ended() => {}
-        }
         // A link that has ended meanwhile is not handed to Zenoh.
         link.check().map(|()| Outcome::Linked(link))
     }

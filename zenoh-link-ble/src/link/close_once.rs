@@ -53,9 +53,4 @@ impl CloseOnce {
             self.node.on_link_ended(self.number, &self.peer, reason);
         }
     }
-
-    /// Records that Zenoh has released the link.
-    pub(crate) fn release(&self) {
-        self.node.on_link_released(self.number);
-    }
 }

@@ -274,11 +274,6 @@ impl Traffic {
         self.state.lock().check()
     }
 
-    /// Waits until the link has ended.
-    pub(crate) async fn ended(&self) {
-        self.ended.cancelled().await;
-    }
-
     /// Sends what is queued and then the goodbye, and waits until the peer has read it and closes the channel. All of
     /// this takes at most `limit`.
     pub(crate) async fn finish(&self, limit: Duration) {

@@ -112,7 +112,6 @@ macro_rules! for_each_scenario {
             dials_by_address: link,
             two_nodes_that_dial_each_other_make_one_link: link,
             reconnects_after_a_close_by_either_side: link,
-            new_link_waits_until_zenoh_released_the_ended_one: link,
             delivers_batches_sent_before_close: link,
             an_empty_write_does_not_end_the_link: link,
             uses_the_smaller_mtu_of_both_sides: link,
