@@ -418,7 +418,6 @@ impl LinkUnicastTrait for LinkBle {
             }
             self.channel.shutdown();
             self.close_once.close("closed by this side");
-            self.close_once.release();
             // The program may exit next.
             let closed = self.adapter.wait_until_closed(self.channel.peer());
             let _ = tokio::time::timeout(DISCONNECT_TIMEOUT, closed).await;
