@@ -4,7 +4,7 @@ use std::sync::Arc;
 use tokio::sync::Semaphore;
 use zenoh_link_ble_radio::Radio;
 
-use crate::{connections::SharedConnections, scanner::Scanner};
+use crate::{connections::AdapterConnections, scanner::Scanner};
 
 /// A local adapter, as all listeners and dials of a node share it.
 pub(crate) struct Adapter {
@@ -13,7 +13,7 @@ pub(crate) struct Adapter {
     /// Limits pending LE connects to one at a time. A second one leaks a connection on the Pi's controller
     /// (bluetooth-next#643), and the kernel serves only one anyway.
     pub(crate) connecting: Semaphore,
-    pub(crate) connections: Arc<SharedConnections>,
+    pub(crate) connections: Arc<AdapterConnections>,
 }
 
 impl Adapter {
@@ -21,7 +21,7 @@ impl Adapter {
         Arc::new(Self {
             scanner: Scanner::new(Arc::clone(&radio)),
             connecting: Semaphore::new(1),
-            connections: SharedConnections::of(&radio.id()),
+            connections: AdapterConnections::new(Arc::clone(&radio)),
             radio,
         })
     }

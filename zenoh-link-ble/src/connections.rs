@@ -12,18 +12,16 @@ use std::{
 
 use parking_lot::Mutex;
 use tokio::{runtime::Handle, sync::Notify};
-use zenoh_link_ble_radio::address::DeviceAddress;
-
-use crate::adapter::Adapter;
+use zenoh_link_ble_radio::{address::DeviceAddress, Radio};
 
 /// How long a connection without a channel stays open if the peer has ended the last link. The peer closes the connection
 /// itself, or dials again: a router does so after a second at most, and the system may lose a channel that is requested while it
 /// closes the connection.
 const GRACE: Duration = Duration::from_secs(2);
 
-/// The connections of one adapter, which all nodes of the process share.
+/// The part of the connections of one adapter that all nodes of the process share.
 #[derive(Default)]
-pub(crate) struct SharedConnections {
+struct SharedConnections {
     connections: Mutex<Connections>,
     /// Notified whenever a connection was closed.
     closed: Notify,
@@ -34,7 +32,7 @@ static SHARED: Mutex<Vec<(String, Weak<SharedConnections>)>> = Mutex::new(Vec::n
 
 impl SharedConnections {
     /// Returns the connections of the adapter with that id.
-    pub(crate) fn of(radio_id: &str) -> Arc<Self> {
+    fn of(radio_id: &str) -> Arc<Self> {
         let mut shared = SHARED.lock();
         shared.retain(|(_, connections)| connections.strong_count() > 0);
         let existing = shared.iter().find(|(id, _)| id == radio_id);
@@ -101,11 +99,22 @@ impl Connections {
     }
 }
 
-impl Adapter {
+/// The connections of one adapter, as a node sees them.
+pub(crate) struct AdapterConnections {
+    radio: Arc<dyn Radio>,
+    shared: Arc<SharedConnections>,
+}
+
+impl AdapterConnections {
+    pub(crate) fn new(radio: Arc<dyn Radio>) -> Arc<Self> {
+        let shared = SharedConnections::of(&radio.id());
+        Arc::new(Self { radio, shared })
+    }
+
     /// Records that the caller uses the connection to a device, or is about to open it. After the last guard is dropped, the
     /// connection is closed.
-    pub(crate) fn use_connection(self: &Arc<Self>, device: DeviceAddress) -> ConnectionGuard {
-        self.connections.connections.lock().on_use(device);
+    pub(crate) fn use_one(self: &Arc<Self>, device: DeviceAddress) -> ConnectionGuard {
+        self.shared.connections.lock().on_use(device);
         ConnectionGuard {
             adapter: Arc::clone(self),
             device,
@@ -117,8 +126,8 @@ impl Adapter {
     /// Waits while the connection to a device is being closed. A channel that was opened meanwhile would end with it.
     pub(crate) async fn wait_until_closed(&self, device: DeviceAddress) {
         loop {
-            let closed = self.connections.closed.notified();
-            if !self.connections.connections.lock().is_closing(device) {
+            let closed = self.shared.closed.notified();
+            if !self.shared.connections.lock().is_closing(device) {
                 return;
             }
             closed.await;
@@ -127,7 +136,7 @@ impl Adapter {
 
     /// Closes a connection that has remained from an earlier link. The caller has the only guard.
     pub(crate) async fn close_remaining(&self, device: DeviceAddress) {
-        let is_alone = self.connections.connections.lock().users(device) == 1;
+        let is_alone = self.shared.connections.lock().users(device) == 1;
         if is_alone {
             self.radio.disconnect(device).await;
         }
@@ -136,14 +145,14 @@ impl Adapter {
     /// Closes a connection, which [`Connections::begin_closing`] permits.
     async fn close_connection(&self, device: DeviceAddress) {
         self.radio.disconnect(device).await;
-        self.connections.connections.lock().on_closed(device);
-        self.connections.closed.notify_waiters();
+        self.shared.connections.lock().on_closed(device);
+        self.shared.closed.notify_waiters();
     }
 }
 
 /// A user of the connection to a device. Dropping the last one closes the connection, in a task of its own.
 pub(crate) struct ConnectionGuard {
-    adapter: Arc<Adapter>,
+    adapter: Arc<AdapterConnections>,
     device: DeviceAddress,
     /// A guard may be dropped by a thread that does not belong to a runtime.
     runtime: Handle,
@@ -160,7 +169,7 @@ impl ConnectionGuard {
 impl Drop for ConnectionGuard {
     fn drop(&mut self) {
         let (adapter, device) = (Arc::clone(&self.adapter), self.device);
-        let mut connections = self.adapter.connections.connections.lock();
+        let mut connections = self.adapter.shared.connections.lock();
         let Some(uses) = connections.on_released(device) else {
             return;
         };
@@ -170,7 +179,7 @@ impl Drop for ConnectionGuard {
         self.runtime.spawn(async move {
             if !is_closing {
                 tokio::time::sleep(GRACE).await;
-                let mut connections = adapter.connections.connections.lock();
+                let mut connections = adapter.shared.connections.lock();
                 let is_due = connections.begin_closing(device, uses);
                 drop(connections);
                 if !is_due {

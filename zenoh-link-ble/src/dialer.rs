@@ -130,7 +130,7 @@ async fn dial_once(
         number: dialling.number,
         path,
     };
-    let mut connection = adapter.use_connection(candidate.device);
+    let mut connection = adapter.connections.use_one(candidate.device);
     let opened = open(node, dial, adapter, locator, &candidate, step).await;
     let gives_way = matches!(
         opened,
@@ -250,13 +250,16 @@ async fn open(
         });
     }
     node.wait_for_handshakes_with(candidate.device).await;
-    adapter.wait_until_closed(candidate.device).await;
+    adapter
+        .connections
+        .wait_until_closed(candidate.device)
+        .await;
     let mut offered = node
         .request_interval(adapter.radio.as_ref(), candidate.device)
         .await;
     if offered.is_some() && !adapter.radio.changes_open_connections() {
         // The connection of an ended link would keep its interval.
-        adapter.close_remaining(candidate.device).await;
+        adapter.connections.close_remaining(candidate.device).await;
     }
     let channel = connect(adapter, options, candidate, limit).await?;
     if channel.is_central() == Some(false) {

@@ -419,7 +419,10 @@ impl LinkUnicastTrait for LinkBle {
             self.channel.shutdown();
             self.close_once.close("closed by this side");
             // The program may exit next.
-            let closed = self.adapter.wait_until_closed(self.channel.peer());
+            let closed = self
+                .adapter
+                .connections
+                .wait_until_closed(self.channel.peer());
             let _ = tokio::time::timeout(DISCONNECT_TIMEOUT, closed).await;
         }
         Ok(())

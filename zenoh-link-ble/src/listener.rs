@@ -205,7 +205,7 @@ impl Listener {
             tokio::select! {
                 accepted = bound.channels.accept() => match accepted {
                     Ok(channel) => {
-                        let connection = self.adapter.use_connection(channel.peer());
+                        let connection = self.adapter.connections.use_one(channel.peer());
                         if let Some(permit) = HandshakePermit::acquire(self, channel.peer()) {
                             let listener = Arc::clone(self);
                             handshakes.spawn(async move {
