@@ -85,7 +85,7 @@ def test_values_are_never_interpreted_as_html(page: Page, fleet: Fleet, dashboar
     ("value", "shown"),
     [
         (b"[NaN, Infinity", "14"),
-        (rect.Payload(b"\xf9\x7e\x00", "application/cbor"), "null"),
+        (rect.Payload(b"\xf9\x7e\x00", "application/cbor"), "NaN"),
         (rect.Payload(b"\x89PNG damaged", "image/png"), "damaged"),
         (rect.Payload(b"[" + b"1," * 5_000_000 + b"1]", "application/json"), "too many to show"),
         (rect.Payload(b"\xff" * 10, "x" * 200), "bytes"),

@@ -23,6 +23,9 @@ const WITHIN: Duration = Duration::from_secs(60);
 /// When robots that have not answered the request to all are asked by their names. Only the answer to such a request shows that a robot
 /// does not provide the service, or why it refuses: an error does not say reliably from which robot it is.
 const ASKED_BY_NAME_AFTER: Duration = Duration::from_millis(500);
+/// When a robot is asked again that did not provide the service: the services of a robot become known shortly after the robot, and a
+/// program may just be starting.
+const ASKED_AGAIN_AFTER: Duration = Duration::from_secs(1);
 /// The largest number of replies to the request to all that are read.
 const MAX_REPLIES: usize = 1000;
 
@@ -222,22 +225,37 @@ impl Stop {
         }
     }
 
-    /// Sends the request to one robot.
+    /// Sends the request to one robot, again and again while it does not provide the service.
     fn ask(self: &Arc<Self>, run: &mut Run, robot: Name) {
         while run.tasks.try_join_next().is_some() {}
         let (stop, number) = (self.clone(), run.number);
         run.tasks.spawn(async move {
-            let urgent = stop.robot.urgent();
-            let asked = urgent.request(robot.clone(), stop.service.clone(), "", WITHIN);
-            let answer = match asked.await {
-                Ok(_) => return stop.on_confirmed(number, robot),
-                Err(Error::NoService { .. }) => Answer::NoService,
-                Err(Error::TimedOut { .. }) => Answer::Silent,
-                Err(Error::Service { payload, .. }) => Answer::Failed(beginning(&payload.bytes)),
-                Err(error) => Answer::Failed(error.to_string()),
-            };
-            stop.on_answer(number, robot, answer);
+            while stop.is_asking(number, &robot) {
+                let urgent = stop.robot.urgent();
+                let asked = urgent.request(robot.clone(), stop.service.clone(), "", WITHIN);
+                let answer = match asked.await {
+                    Ok(_) => return stop.on_confirmed(number, robot),
+                    Err(Error::NoService { .. }) => {
+                        stop.on_answer(number, robot.clone(), Answer::NoService);
+                        sleep(ASKED_AGAIN_AFTER).await;
+                        continue;
+                    }
+                    Err(Error::TimedOut { .. }) => Answer::Silent,
+                    Err(Error::Service { payload, .. }) => {
+                        Answer::Failed(beginning(&payload.bytes))
+                    }
+                    Err(error) => Answer::Failed(error.to_string()),
+                };
+                return stop.on_answer(number, robot, answer);
+            }
         });
+    }
+
+    /// Returns whether a robot has still to confirm that stop, which was pressed within the last minute.
+    fn is_asking(&self, number: u64, robot: &Name) -> bool {
+        let inner = self.inner();
+        let run = inner.run.as_ref().filter(|run| run.number == number);
+        run.is_some_and(|run| run.pressed.elapsed() < WITHIN && !run.answers.has_confirmed(robot))
     }
 
     fn on_confirmed(&self, number: u64, robot: Name) {
