@@ -246,6 +246,9 @@ async fn message_is_kept_if_the_future_is_dropped_while_its_dictionary_is_fetche
     }
     for (n, message) in messages.into_iter().enumerate() {
         assert_eq!(message.problem, None);
-        assert_eq!(message.payload.value::<Value>().expect("JSON"), reading(n as u32));
+        assert_eq!(
+            message.payload.value::<Value>().expect("JSON"),
+            reading(n as u32)
+        );
     }
 }
