@@ -3,6 +3,7 @@ them."""
 
 import multiprocessing
 import os
+import struct
 import threading
 import time
 from collections.abc import Callable
@@ -11,8 +12,8 @@ from multiprocessing.connection import Connection
 
 import zenoh
 from pairs import carried, room
-from robots import wait_until
-from room import wait_for_link
+from robots import Robot, wait_until
+from room import Room, wait_for_link, wait_for_no_link
 from routers import own_kb
 from table import Table
 from zenoh import CongestionControl, Priority
@@ -20,6 +21,8 @@ from zenoh import CongestionControl, Priority
 PDU = 27
 LIMIT_S = 180
 PERIOD_S = 0.5
+#: How long a new link is measured.
+LINK_UP_S = 10
 #: The air counts as silent if it carries fewer bytes than this in PERIOD_S: keep-alives, and the measured message.
 SILENCE_BYTES = 400
 
@@ -29,6 +32,8 @@ class Case:
     title: str
     count: int
     declare: Callable[[zenoh.Session, int], object]
+    is_link_up: bool = False
+    """Whether the declarations are made before the link is established, by four sessions."""
 
 
 def queryable(session: zenoh.Session, number: int) -> object:
@@ -47,12 +52,29 @@ def token(session: zenoh.Session, number: int) -> object:
     return session.liveliness().declare_token(f"rect/wombat-1/token/{number:06}")
 
 
+def long_token(session: zenoh.Session, number: int) -> object:
+    return session.liveliness().declare_token(f"rect/wombat-1/{'token-' * 28}{number:08}")
+
+
+def of_a_robot(session: zenoh.Session, number: int) -> object:
+    """Declares one of the four things that each of the four programs of each of 15 robots declares."""
+    key = f"rect/wombat-{number // 16}/program-{number // 4 % 4}"
+    declared: list[Callable[[], object]] = [
+        lambda: session.liveliness().declare_token(f"{key}/alive"),
+        lambda: session.declare_queryable(f"{key}/battery", lambda _: None),
+        lambda: session.declare_subscriber(f"{key}/drive", lambda _: None),
+        lambda: session.declare_subscriber(f"rect/*/program-{number // 4 % 4}/{number // 16}", lambda _: None),
+    ]
+    return declared[number % 4]()
+
+
 CASES = [
     Case("1000 queryables", 1_000, queryable),
     Case("1000 subscribers", 1_000, subscriber),
     Case("1000 subscribers to overlapping wildcards (`rect/**/<number>/**`)", 1_000, overlapping),
-    Case("10,000 queryables", 10_000, queryable),
-    Case("100,000 liveliness tokens", 100_000, token),
+    Case("2500 liveliness tokens with keys of 190 bytes", 2_500, long_token),
+    Case("10,000 liveliness tokens", 10_000, token),
+    Case("link-up with 15 robots of 4 programs with 4 declarations", 240, of_a_robot, is_link_up=True),
 ]
 
 
@@ -91,7 +113,8 @@ def run() -> Table:
     table.notes = [
         f"The simulated air as in `urgent`, with link-layer packets of {PDU} bytes (34 kB/s). A stock eclipse-zenoh "
         f"client of one robot declares as fast as it can, for {LIMIT_S} s at most. Another client of the same robot "
-        "publishes urgent messages (`REAL_TIME`), each when the previous one has arrived. Memory: heap and stacks.",
+        "publishes urgent messages (`REAL_TIME`), each when the previous one has arrived. At a link-up, it publishes "
+        f"one every 20 ms for {LINK_UP_S} s. Memory: heap and stacks.",
     ]
     return table
 
@@ -119,6 +142,8 @@ def outcome_of(case: Case) -> Outcome:
     with room(PDU) as air:
         one, two = air.add_robot("wombat-1"), air.add_robot("wombat-2")
         wait_for_link(one, two)
+        if case.is_link_up:
+            return at_link_up(case, air, one, two)
         declaring, urgent = one.session(), Urgent(one.session(), two.session())
         outcome, is_finished, kept = Outcome(), threading.Event(), []
 
@@ -143,6 +168,32 @@ def outcome_of(case: Case) -> Outcome:
         outcome.carried_bytes = carried(air) - before
         outcome.grew_kb = [own_kb(robot.pid()) - kb for robot, kb in zip((one, two), memory_kb, strict=True)]
         return outcome
+
+
+def at_link_up(case: Case, air: Room, one: Robot, two: Robot) -> Outcome:
+    """Measures how old urgent messages are that arrive while a link is new."""
+    sessions, outcome, ages_s = [one.session() for _ in range(4)], Outcome(declared=case.count), []
+    kept = [case.declare(sessions[number % 4], number) for number in range(case.count)]
+    here, there = one.session(), two.session()
+
+    def on_message(sample: zenoh.Sample) -> None:
+        ages_s.append(time.monotonic() - struct.unpack("<d", sample.payload.to_bytes())[0])
+
+    kept.append(there.declare_subscriber("rect/wombat-1/stop", on_message))
+    publisher = here.declare_publisher("rect/wombat-1/stop", priority=Priority.REAL_TIME, express=True)
+    air.cut()
+    wait_for_no_link(one, two)
+    ages_s.clear()
+    before, memory_kb = carried(air), [own_kb(robot.pid()) for robot in (one, two)]
+    air.restore()
+    started = time.monotonic()
+    while not ages_s or time.monotonic() - started < LINK_UP_S:
+        publisher.put(struct.pack("<d", time.monotonic()))
+        time.sleep(0.02)
+    outcome.took_s, outcome.worst_s = LINK_UP_S, max(ages_s)
+    outcome.carried_bytes = carried(air) - before
+    outcome.grew_kb = [own_kb(robot.pid()) - kb for robot, kb in zip((one, two), memory_kb, strict=True)]
+    return outcome
 
 
 class Urgent:

@@ -50,6 +50,7 @@ CASES = [
     Case("8 kB", 8_000),
     Case("30 kB", 30_000),
     Case("60 kB", 60_000),
+    Case("100 kB", 100_000),
     Case("128 bytes, `backlog=500`", options="backlog=500"),
     Case("128 bytes, `backlog=2000`", options="backlog=2000"),
     Case("one session for flood and urgent messages, without the limit", options=WITHOUT, is_urgent_too=True),

@@ -29,6 +29,7 @@ BENCHES = {
     "declarations": "the effect of very many declarations of one program on two routers and their slow link",
     "urgent_vm": "two cases of `urgent` on a real kernel's Bluetooth stack in the VM, paced",
     "failover": "two robots whose Wi-Fi is silent or lost: any, Bluetooth alone, TCP alone, stock Zenoh with two links",
+    "outages": "two robots after an outage of all radios: any, Bluetooth, TCP: when messages are back",
     "network": "the network path of an `any` link compared with `tls` and `tcp`: goodput, latency, memory (needs root)",
     "encryption": "a link with a secret compared with one without, on a real kernel's Bluetooth stack in the VM",
     "plugin": "RECT in a stock zenohd compared with rect-router: urgent messages, throughput, memory, threads",

@@ -8,6 +8,7 @@ fn limits() -> Limits {
     Limits {
         robot: "me".to_owned(),
         max_connections: MAX_CONNECTIONS,
+        option_folders: vec!["/etc/rect".into()],
     }
 }
 

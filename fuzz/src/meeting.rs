@@ -48,7 +48,7 @@ fn check(sent: Vec<u8>) {
         }),
     };
     let accepted = async {
-        accept(&mut peer(sent.clone()), &SECRET, |_| Ok(own()))
+        accept(&mut peer(sent.clone()), Some(&*SECRET), |_| Ok(own()))
             .await
             .is_ok()
     };

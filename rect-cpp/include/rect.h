@@ -672,7 +672,8 @@ typedef struct rect_transfer_options {
     const char *name;
     // The encoding of the content. Default: that of `payload`, and `zenoh/bytes` for a file.
     const char *encoding;
-    // How long the receiver may be unreachable before the transfer fails, in milliseconds. Default: no limit.
+    // How long the receiver may be unreachable, or its program take none of the transfers that have arrived, before the
+    // transfer fails, in milliseconds. Default: no limit.
     uint32_t timeout_ms;
 } rect_transfer_options;
 

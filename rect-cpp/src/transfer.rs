@@ -56,7 +56,8 @@ pub struct TransferOptions {
     pub name: *const c_char,
     /// The encoding of the content. Default: that of `payload`, and `zenoh/bytes` for a file.
     pub encoding: *const c_char,
-    /// How long the receiver may be unreachable before the transfer fails, in milliseconds. Default: no limit.
+    /// How long the receiver may be unreachable, or its program take none of the transfers that have arrived, before the
+    /// transfer fails, in milliseconds. Default: no limit.
     pub timeout_ms: u32,
 }
 

@@ -94,12 +94,13 @@ impl Inquiry {
     }
 }
 
-/// Returns the sender of a request (`None` if it does not use RECT) and its timeout in seconds, from its attachment.
+/// Returns the sender of a query (`None` if it does not use RECT) and its timeout in seconds, from its key expression and attachment.
+/// `None` if the query is not a request.
 #[pyfunction]
-pub fn requester(attachment: Option<&[u8]>) -> (Option<String>, f64) {
-    let requester = Requester::of(attachment);
+pub fn requester(key: &str, attachment: Option<&[u8]>) -> Option<(Option<String>, f64)> {
+    let requester = Requester::of(key, attachment)?;
     let robot = requester.robot.map(|robot| robot.to_string());
-    (robot, requester.timeout.as_secs_f64())
+    Some((robot, requester.timeout.as_secs_f64()))
 }
 
 /// Returns the error reply of a robot to a request for which there is no room.

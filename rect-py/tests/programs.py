@@ -33,6 +33,7 @@ class Routers:
 
     def __init__(self, room: Any, one: Any, two: Any) -> None:
         self.room = room
+        self.robots = {"wombat-1": one, "wombat-2": two}
         self.endpoints = {"wombat-1": one.endpoint(), "wombat-2": two.endpoint()}
 
     def connect(self, name: str) -> rect.Robot:

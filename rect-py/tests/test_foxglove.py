@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import base64
 import json
+import os
+import resource
+import socket
 import struct
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from typing import Any
 
 import pytest
@@ -19,7 +22,7 @@ from google.protobuf import (  # type: ignore[import-untyped, unused-ignore]
     message_factory,
 )
 from programs import Routers
-from websockets.exceptions import InvalidStatus
+from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 from websockets.typing import Subprotocol
 
@@ -179,12 +182,26 @@ def test_viewer_shows_values_and_pictures(routers: Routers) -> None:
 
         shown.show("/wombat-1/arm/angle")
         assert shown.value("/wombat-1/arm/angle") == {"value": 12.5}
+        schema = json.loads(shown.channels["/wombat-1/arm/angle"]["schema"])
+        assert schema == {"type": "object", "properties": {"value": {"type": "number"}}}
 
         shown.show("/wombat-1/camera")
         picture = decoded(shown.message("/wombat-1/camera"), shown.channels["/wombat-1/camera"])
         assert (picture.data, picture.format) == (JPEG, "jpeg")
         assert shown.info["name"] == "RECT, fleet rect"
         assert "clientPublish" not in shown.info["capabilities"]
+
+
+def test_new_fields_of_a_topic_are_offered(routers: Routers) -> None:
+    with routers.connect("wombat-1") as robot, serving(routers) as address, viewer(address) as shown:
+        with repeating(0.1, lambda: robot.publish("found", {"detections": []})):
+            shown.show("/wombat-1/found")
+            assert shown.value("/wombat-1/found") == {"detections": []}
+        assert json.loads(shown.channels["/wombat-1/found"]["schema"])["properties"] == {}
+        with repeating(0.1, lambda: robot.publish("found", {"detections": [{"x": 1}], "depth": 1})):
+            while "depth" not in json.loads(shown.channels["/wombat-1/found"]["schema"])["properties"]:
+                shown.value("/wombat-1/found")
+            assert shown.value("/wombat-1/found") == {"detections": [{"x": 1}], "depth": 1}
 
 
 def decoded(message: bytes, channel: dict[str, Any]) -> Any:
@@ -286,3 +303,82 @@ def test_stalled_viewer_does_not_delay_another(routers: Routers) -> None:
 def test_viewer_of_another_protocol_is_refused(routers: Routers) -> None:
     with serving(routers) as address, pytest.raises(InvalidStatus):
         connect(address, subprotocols=[Subprotocol("graphql-ws")])
+
+
+@pytest.mark.parametrize("kind", ["silent", "half a request", "showing nothing"])
+def test_connections_that_do_nothing_keep_no_viewer_out(routers: Routers, kind: str) -> None:
+    with routers.connect("wombat-1") as robot, publishing(robot), serving(routers) as address, ExitStack() as opened:
+        place = address.removeprefix("ws://").split(":")
+        for _ in range(100):
+            if kind == "showing nothing":
+                opened.enter_context(viewer(address))
+                continue
+            connection = opened.enter_context(socket.create_connection((place[0], int(place[1]))))
+            if kind == "half a request":
+                # It may have been closed already.
+                with suppress(OSError):
+                    connection.sendall(b"GET / HTTP/1.1\r\nHost: localhost\r\n")
+        with viewer(address) as shown:
+            shown.show("/wombat-1/arm/angle")
+            assert shown.value("/wombat-1/arm/angle") == {"value": 12.5}
+
+
+def test_viewers_are_accepted_again_after_file_descriptors_were_exhausted(routers: Routers) -> None:
+    with routers.tool("wombat-2", "foxglove", "--listen", "127.0.0.1:0") as tool:
+        address = tool.until("open ws://").split()[2]
+        pid = tool.process.pid
+        place = address.removeprefix("ws://").split(":")
+        limits = resource.prlimit(pid, resource.RLIMIT_NOFILE)
+        used = {int(number) for number in os.listdir(f"/proc/{pid}/fd")}
+        first_free = min(set(range(len(used) + 1)) - used)
+        resource.prlimit(pid, resource.RLIMIT_NOFILE, (first_free, limits[1]))
+        with socket.create_connection((place[0], int(place[1]))):
+            tool.until("cannot accept a viewer")
+        resource.prlimit(pid, resource.RLIMIT_NOFILE, limits)
+        with viewer(address) as shown:
+            while not shown.info:
+                shown._receive()
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"Origin": "http://evil.example"}, 403),
+        ({"Origin": "null"}, 403),
+        ({"Host": "evil.example", "Origin": "http://evil.example"}, 421),
+        ({"Origin": "https://app.foxglove.dev"}, 101),
+        ({"Origin": "file://"}, 101),
+        ({"Origin": "http://localhost:8080"}, 101),
+        ({"Origin": "https://viewer.example.org"}, 101),
+        ({"Host": "robots.example.org"}, 101),
+    ],
+)
+def test_pages_of_other_sites_are_refused(routers: Routers, headers: dict[str, str], status: int) -> None:
+    options = ("--site", "https://viewer.example.org", "--name", "robots.example.org")
+    with serving(routers, *options) as address:
+        place = address.removeprefix("ws://").split(":")
+        lines = {
+            "Host": address.removeprefix("ws://"),
+            "Connection": "Upgrade",
+            "Upgrade": "websocket",
+            "Sec-WebSocket-Version": "13",
+            "Sec-WebSocket-Key": "dGhlIHNhbXBsZSBub25jZQ==",
+            "Sec-WebSocket-Protocol": "foxglove.sdk.v1",
+            **headers,
+        }
+        request = "".join(f"{name}: {value}\r\n" for name, value in lines.items())
+        with socket.create_connection((place[0], int(place[1])), timeout=DEADLINE) as connection:
+            connection.sendall(f"GET / HTTP/1.1\r\n{request}\r\n".encode())
+            answer = connection.makefile("rb").readline()
+        assert answer.split()[1] == str(status).encode()
+
+
+def test_message_that_is_too_large_ends_the_connection_of_its_viewer_alone(routers: Routers) -> None:
+    with serving(routers) as address, viewer(address) as other:
+        with viewer(address) as one, pytest.raises(ConnectionClosed):
+            one._send(op="x" * 3_000_000)
+            while True:
+                one._receive()
+        other._send(op="getParameters", parameterNames=[], id="all")
+        while not other.info:
+            other._receive()

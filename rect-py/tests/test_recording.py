@@ -10,6 +10,7 @@ import itertools
 import json
 import os
 import random
+import re
 import signal
 import subprocess
 import time
@@ -25,8 +26,9 @@ import rect
 import zenoh
 from conftest import free_port, repeating, until
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
-from programs import DEADLINE, program
+from programs import DEADLINE, Routers, program
 
 JPEG = b"\xff\xd8" + bytes(5000)
 #: How many recorders are killed in one round.
@@ -108,6 +110,194 @@ def test_stock_reader_opens_a_recording(tmp_path: Path) -> None:
         decoded = make_reader(stream, decoder_factories=[DecoderFactory()]).iter_decoded_messages(["wombat-1/camera"])
         pictures = [(schema and schema.name, picture.format, picture.data) for schema, _, _, picture in decoded]
     assert pictures and set(pictures) == {("foxglove.CompressedImage", "jpeg", JPEG)}
+
+
+def refused(schema: Any, name: str) -> list[str]:
+    """Returns what viewers refuse in a schema: a root that is not an object, or fields and items of unknown type."""
+    if schema.get("type") != "object" or not isinstance(schema.get("properties"), dict):
+        return [f"{name} is not an object: {schema}"]
+    problems = []
+    for field, of_field in schema["properties"].items():
+        inner = of_field["items"] if of_field.get("type") == "array" else of_field
+        if inner.get("type") == "object":
+            problems += refused(inner, f"{name}.{field}")
+        elif inner.get("type") not in ("boolean", "number", "string"):
+            problems.append(f"{name}.{field} is {of_field}")
+    return problems
+
+
+def shown(file: Path) -> dict[str, list[Any]]:
+    """Returns the messages that viewers show, by topic: objects, and the names of the schemas of pictures.
+
+    Verifies that viewers accept all of their schemas.
+    """
+    found: dict[str, list[Any]] = {}
+    for schema, channel, message in messages(file):
+        if channel.message_encoding not in ("json", "protobuf"):
+            continue
+        assert schema, channel
+        if channel.message_encoding == "json":
+            assert schema.encoding == "jsonschema" and not refused(json.loads(schema.data), schema.name)
+            value = json.loads(message.data)
+            assert isinstance(value, dict)
+        else:
+            value = schema.name
+        found.setdefault(channel.topic, []).append(value)
+    return found
+
+
+def test_recording_of_the_demo_is_shown_by_viewers(routers: Routers, tmp_path: Path) -> None:
+    from two_wombats import (  # type: ignore[import-not-found, unused-ignore]
+        MESSAGES,
+        PHOTOGRAPHS,
+        json_both_ways,
+        photographs,
+        question_and_answer,
+    )
+
+    file = tmp_path / "demo.mcap"
+    with routers.tool("wombat-2", "record", "wombat-1/**", "wombat-2/**", "--output", str(file)) as recorder:
+        recorder.until("recording wombat-1/**")
+        with routers.robots["wombat-1"].session() as here, routers.robots["wombat-2"].session() as there:
+            json_both_ways(here, there)
+            question_and_answer(here, there)
+            photographs(here, there)
+        running = rect.Recording(tmp_path / "demo.segments")
+
+        def pictures() -> int:
+            return sum(message.payload.encoding == "image/jpeg" for message in running)
+
+        until(lambda: pictures() == len(PHOTOGRAPHS), pictures)
+        recorder.process.terminate()
+        assert recorder.ends() == 0
+    found = shown(file)
+    for robot in ("wombat-1", "wombat-2"):
+        angles = [value["n"] for value in found[f"{robot}/arm/angle"] if "n" in value]
+        assert sorted(set(angles)) == list(range(MESSAGES))
+    assert found["wombat-1/camera"].count("foxglove.CompressedImage") >= len(PHOTOGRAPHS)
+    assert any("/@rect/link/" in topic for topic in found)
+    assert "wombat-2/@rect/events" in found
+
+
+def test_values_of_every_form_are_shown_and_read(tmp_path: Path) -> None:
+    file = tmp_path / "match.mcap"
+    array = numpy.array([0.5, numpy.nan, -numpy.inf], numpy.float32)
+    values: dict[str, tuple[Any, Any]] = {
+        "angle": (12.5, {"value": 12.5}),
+        "on": (True, {"value": True}),
+        "nothing": (None, {"value": None}),
+        "list": ([1, 2], {"value": [1, 2]}),
+        "nested": ({"table": [[1], []], "empty": []}, {"table": [[1], []], "empty": []}),
+        "text": ("open", {"value": "open"}),
+        "cbor": (rect.Cbor({1: 2, "blob": b"abc", "x": numpy.inf}), {"1": 2, "blob": {"bytes": 3}, "x": "Infinity"}),
+        "array": (array, {"value": [0.5, "NaN", "-Infinity"]}),
+    }
+    listen = [f"tcp/127.0.0.1:{free_port()}"]
+    with rect.connect("wombat-1", listen=listen) as robot, robot.record(file, "wombat-1/**") as recorder:
+        for topic, (value, _) in values.items():
+            robot.publish(topic, value)
+        robot.publish("table", numpy.array([[1, 2], [3, 4]]))
+        until_recorded(recorder, len(values) + 1)
+    found = shown(file)
+    assert {topic: found[f"wombat-1/{topic}"] for topic in values} == {
+        topic: [object] for topic, (_, object) in values.items()
+    }
+    recording = rect.Recording(file)
+    read = {message.topic: message.value for message in recording}
+    assert numpy.array_equal(read.pop("array"), array, equal_nan=True)
+    assert read.pop("table").tolist() == [[1, 2], [3, 4]]
+    assert read == {
+        topic: value.value if isinstance(value, rect.Cbor) else value
+        for topic, (value, _) in values.items()
+        if topic in read
+    }
+    columns = recording.numbers("wombat-1/array")
+    assert list(columns) == ["time_s", "0", "1", "2"]
+    assert columns["0"][0] == 0.5 and numpy.isnan(columns["1"][0]) and columns["2"][0] == -numpy.inf
+    assert list(recording.numbers("wombat-1/table")) == ["time_s", "0.0", "0.1", "1.0", "1.1"]
+    assert recording.numbers("wombat-1/cbor")["x"][0] == numpy.inf
+
+
+def ros_file(file: Path) -> None:
+    """Writes a file as another program does: the last message is the first, and the others are mixed."""
+    with file.open("wb") as stream:
+        writer = Writer(stream, chunk_size=200)
+        writer.start(profile="ros2", library="test")
+        schema = writer.register_schema("std_msgs/msg/Float64", "ros2msg", b"float64 data")
+        channel = writer.register_channel("/angle", "cdr", schema, {"offered_qos_profiles": "none"})
+        numbers = writer.register_schema("number", "jsonschema", b'{"type": "object", "properties": {}}')
+        number = writer.register_channel("a/number", "json", numbers)
+        writer.add_metadata("weather", {"sky": "grey"})
+        writer.add_attachment(1, 2, "map.pgm", "image/x-portable-graymap", bytes(1000))
+        for n in range(100):
+            at = (99 + n * 37) % 100
+            data = json.dumps({"n": at}).encode()
+            writer.add_message(number, log_time=(50 + at) * 10**9, data=data, publish_time=0, sequence=at)
+            writer.add_message(channel, log_time=(50 + at) * 10**9, data=bytes(12), publish_time=7, sequence=at)
+        writer.finish()
+
+
+def content(file: Path) -> list[Any]:
+    """Returns what a file contains, in the order of time."""
+    with file.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        read = [
+            (
+                (message.log_time, channel.topic),
+                schema and (schema.name, schema.encoding, schema.data),
+                (channel.message_encoding, channel.metadata),
+                (message.publish_time, message.sequence, message.data),
+            )
+            for schema, channel, message in reader.iter_messages()
+        ]
+        extras = [
+            reader.get_header().profile,
+            [(record.name, record.metadata) for record in reader.iter_metadata()],
+            [(one.name, one.media_type, one.log_time, one.create_time, one.data) for one in reader.iter_attachments()],
+        ]
+        return [extras, *sorted(read, key=lambda message: message[0])]
+
+
+def test_files_of_other_programs_are_read_by_time_and_copied_whole(tmp_path: Path) -> None:
+    file, copy = tmp_path / "ros.mcap", tmp_path / "copy.mcap"
+    ros_file(file)
+    for command in ("cut", "merge"):
+        copied = tool("recording", command, str(file), "--output", str(copy))
+        assert copied.stdout == f"{copy}: 200 messages\n", copied.stderr
+        assert content(copy) == content(file)
+        copy.unlink()
+    cut = tool("recording", "cut", str(file), "--from", "10s", "--until", "20s", "--output", str(copy))
+    assert cut.stdout == f"{copy}: 22 messages\n", cut.stderr
+    exported = tool("recording", "export", str(file), "--format", "csv", "--topic", "a/*")
+    assert [row.split(",")[-1] for row in exported.stdout.splitlines()[1:]] == [str(n) for n in range(100)]
+    recording = rect.Recording(file)
+    assert [message.value["n"] for message in recording] == list(range(100))
+    assert recording.numbers("a/number")["time_s"].tolist() == list(range(100))
+
+
+def test_damaged_recording_is_recovered(tmp_path: Path) -> None:
+    file, saved = tmp_path / "ros.mcap", tmp_path / "saved.mcap"
+    ros_file(file)
+    damaged = bytearray(file.read_bytes())
+    # In the content of one of the first chunks.
+    chunks = [found.end() for found in re.finditer(b"zstd", damaged)]
+    damaged[chunks[5] + 30] ^= 1
+    for data in (bytes(damaged), bytes(damaged[: len(damaged) // 2])):
+        file.write_bytes(data)
+        merged = tool("recording", "merge", str(file), "--output", str(saved))
+        assert merged.returncode == 1 and "rect recording recover" in merged.stderr
+        assert not saved.exists()
+        recovered = tool("recording", "recover", str(file), "--output", str(saved))
+        assert recovered.returncode == 0, recovered.stderr
+        assert f"{file}: " in recovered.stderr
+        count = len(content(saved)) - 1
+        assert 50 < count < 200 and recovered.stdout == f"{saved}: {count} messages\n"
+        assert tool("recording", "check", str(saved)).returncode == 0
+        saved.unlink()
+    file.write_bytes(b"no recording at all")
+    nothing = tool("recording", "recover", str(file), "--output", str(saved))
+    assert nothing.returncode == 1 and "nothing to recover" in nothing.stderr
+    assert not saved.exists()
 
 
 @contextmanager

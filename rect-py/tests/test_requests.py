@@ -148,6 +148,20 @@ def test_stock_program_can_send_request(pair: Pair) -> None:
     assert payloads == [b"[null,7]"]
 
 
+def test_query_with_wildcards_of_stock_program_runs_no_service(pair: Pair) -> None:
+    one, two = pair
+    requests: list[object] = []
+    one.serve("arm/home", lambda request: requests.append(request.value))
+    until_served(two, "wombat-1", "arm/home")
+    requests.clear()
+    for key in ("rect/**", "rect/*/arm/home"):
+        replies = two.zenoh.get(key, target=zenoh.QueryTarget.ALL, timeout=DEADLINE)
+        assert [reply for reply in replies if reply.ok is not None] == []
+    # The queries before it have been handled: the requests of a service are handled in order.
+    two.request("wombat-1", "arm/home", "last", timeout=DEADLINE)
+    assert requests == ["last"]
+
+
 def test_compressed_request_is_decoded(pair: Pair) -> None:
     one, two = pair
     one.serve("length", lambda request: len(request.value))

@@ -68,6 +68,18 @@ def test_transfer_times_out_without_receiver(pair: Pair) -> None:
         pair[0].transfer("wombat-2", "maps", b"x", timeout=0.1)
 
 
+def test_transfer_times_out_if_program_takes_none(pair: Pair) -> None:
+    one, two = pair
+    with two.receive_transfers("*/maps", max_concurrent=1) as maps:
+        one.transfer("wombat-2", "maps", b"first", timeout=0.5)
+        reason = "no room for the transfer maps: the program of wombat-2 has taken none of those that have arrived"
+        for content in (b"second", b"third"):
+            with pytest.raises(rect.TimedOut, match=reason):
+                one.transfer("wombat-2", "maps", content, timeout=0.5)
+        assert [maps.next(DEADLINE).content for _ in range(2)] == [b"first", b"second"]
+        one.transfer("wombat-2", "maps", b"third", timeout=DEADLINE)
+
+
 def test_file_that_changes_during_transfer_fails_on_both_sides(pair: Pair, tmp_path: Path) -> None:
     one, two = pair
     source = tmp_path / "map.bin"

@@ -4,6 +4,7 @@ mod edit;
 pub mod file;
 mod fleet;
 mod observed;
+mod option_files;
 pub mod spec;
 mod store;
 mod watcher;
@@ -87,6 +88,7 @@ impl Connections {
             limits: Limits {
                 robot: settings.robot.clone(),
                 max_connections: settings.max_connections,
+                option_folders: option_files::folders(path, &settings.option_folders),
             },
             store: Mutex::new(Store::new(path)),
             placeholders: Placeholders::new(settings.max_connections),

@@ -1,5 +1,6 @@
 //! Finds problems that keep a computer from reaching robots, with advice on each: `rect-router doctor` shows them, and the registry
 //! of a router answers with them.
+pub mod declarations;
 pub mod encryption;
 pub mod names;
 pub mod radio;
@@ -66,10 +67,15 @@ impl Finding {
     }
 }
 
-/// Returns the findings of a router about its computer and its links. `may_choose` is whether it may choose connection intervals,
-/// if that is known.
-pub fn of_router(connections: &[Connection], may_choose: Option<bool>) -> Vec<Finding> {
+/// Returns the findings of a router about its computer, its links and its programs. `may_choose` is whether it may choose connection
+/// intervals, if that is known, and `delayed` the number of declarations that had to wait.
+pub fn of_router(
+    connections: &[Connection],
+    may_choose: Option<bool>,
+    delayed: u64,
+) -> Vec<Finding> {
     let mut findings = system::findings(Path::new("/"));
+    findings.extend(declarations::finding(delayed));
     // The form that another router would answer with.
     if let Ok(connections) = serde_json::to_value(connections) {
         findings.extend(radio::findings(&connections, may_choose));

@@ -17,6 +17,8 @@ pub mod registry;
 mod regular_file;
 pub mod robot_services;
 pub mod router;
+mod self_check;
+mod sessions;
 mod signals;
 pub mod status;
 pub mod threads;

@@ -12,6 +12,8 @@ pub fn register() {
         is_reliable: true,
         // Placeholders accept no links.
         is_gated: false,
+        // The links are those of the real protocols, by their managers.
+        opens_links: false,
         make: |new_links| Arc::new(LinkManagerUnicastPlaceholder::new(new_links)),
     });
 }

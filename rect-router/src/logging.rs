@@ -1,9 +1,11 @@
 //! Sets up the log. Like zenohd's, it is written to stdout and filtered by `RUST_LOG`. It has colours on a terminal only.
 //!
 //! Logging never blocks on the reader of the log and never fails because of it: lines pass through a queue to a thread
-//! (`queue`), and lines that do not fit are counted and dropped. A panic is logged in the same way.
+//! (`queue`), and lines that do not fit are counted and dropped. A panic is logged in the same way. Repeated warnings and errors
+//! are summed up (`repeats`).
 
 mod queue;
+mod repeats;
 
 use std::{
     backtrace::{Backtrace, BacktraceStatus},
@@ -15,9 +17,12 @@ use std::{
     time::Duration,
 };
 
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::{prelude::*, EnvFilter};
 
-use self::queue::{Line, LineQueue};
+use self::{
+    queue::{Line, LineQueue},
+    repeats::Summaries,
+};
 
 /// The default filter: level `info` for Zenoh, whose targets begin with `z`, and for RECT.
 const DEFAULT_FILTER: &str = "z=info,rect=info";
@@ -26,6 +31,7 @@ const DEFAULT_FILTER: &str = "z=info,rect=info";
 const FLUSH_TIMEOUT: Duration = Duration::from_secs(1);
 
 static QUEUE: OnceLock<LineQueue> = OnceLock::new();
+static SUMMARIES: OnceLock<Summaries> = OnceLock::new();
 
 /// Starts logging. Call it before anything else logs.
 ///
@@ -41,6 +47,8 @@ pub fn start() -> Result<(), StartError> {
         EnvFilter::try_new(&given).map_err(|source| StartError::Filter { given, source })?;
     let queue = LineQueue::start(io::stdout()).map_err(StartError::Thread)?;
     let queue = QUEUE.get_or_init(|| queue);
+    let (summed_up, summaries) = repeats::sum_up(write_summary);
+    let _ = SUMMARIES.set(summaries);
     tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_thread_ids(true)
@@ -52,9 +60,24 @@ pub fn start() -> Result<(), StartError> {
         // By default the subscriber reports a failed write on stderr, and panics if that fails, too.
         .log_internal_errors(false)
         .with_writer(|| Line::new(queue))
+        .finish()
+        .with(summed_up)
         .init();
     panic::set_hook(Box::new(log_panic));
     Ok(())
+}
+
+/// Writes how often warnings and errors were repeated that are not in the log. Call it now and then.
+pub fn sum_up_repeated() {
+    if let Some(summaries) = SUMMARIES.get() {
+        summaries.write();
+    }
+}
+
+fn write_summary(summary: String) {
+    if let Some(queue) = QUEUE.get() {
+        queue.push(format!("rect-router: {summary}\n").into_bytes());
+    }
 }
 
 /// Waits until the log is written, at most 1 s: its reader may have stopped or exited.

@@ -28,6 +28,7 @@ use zenoh_link_any::{locator::has_radio, observers};
 use zenoh_link_ble::{status::DiscoveredStatus, BLE_LOCATOR_PREFIX as BLE};
 use zenoh_link_ble_bluez::management;
 use zenoh_link_ble_radio::advertisement::Advertisement;
+use zenoh_link_table::admission::delayed_declarations;
 
 use self::{
     document::{peers, Clock, Counts, Status},
@@ -128,11 +129,16 @@ impl Registry {
                 auto_links: rule.auto_links,
                 same_name: others.name_conflicts(),
                 chooses_intervals: management::is_permitted(),
+                delayed_declarations: delayed_declarations(),
                 connections: Counts::of(&connections),
             }
         })?;
         sources.answer(own, "doctor", |connections, _| {
-            doctor::of_router(&connections, management::is_permitted())
+            doctor::of_router(
+                &connections,
+                management::is_permitted(),
+                delayed_declarations(),
+            )
         })?;
         sources.answer(own, "clock", |_, _| Clock { unix_s: now_s() })?;
         let key = format!("{own}/connections");

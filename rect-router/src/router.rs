@@ -2,14 +2,14 @@
 
 use std::{
     any::Any,
-    io,
+    io, mem,
     panic::{self, AssertUnwindSafe},
     sync::{
         mpsc::{self, Receiver, RecvTimeoutError, Sender},
         Arc,
     },
     thread,
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use rect_core::text::humanize;
@@ -18,11 +18,14 @@ use zenoh::{
     internal::runtime::{DynamicRuntime, Runtime, RuntimeBuilder, ZRuntime},
     Config, Session, Wait,
 };
+use zenoh_link_table::succession::ZenohNode;
 
 use crate::{
     limits::SessionLimits,
-    memory,
+    logging, memory,
     robot_services::{self, RobotServices, RunningServices},
+    self_check::{self, Look, SelfCheck},
+    sessions::SessionReports,
     signals, status,
 };
 
@@ -66,21 +69,37 @@ pub fn run(
         _ => return Ok(()),
     };
     tracing::info!("rect-router is up, with id {}", opened.session.zid());
-    notify_systemd();
+    notify_systemd(NotifyState::Ready);
 
+    let mut check = SelfCheck::start(&opened.session).map_err(RouterError::System)?;
+    let mut freed_at = Instant::now();
     loop {
-        match next.recv_timeout(memory::RETURNED_EVERY) {
+        match next.recv_timeout(self_check::EVERY) {
             Ok(Event::StopRequested) => return close(opened, &events, &next),
-            Err(RecvTimeoutError::Timeout) => memory::return_freed(),
+            Err(RecvTimeoutError::Timeout) => {}
             _ => return Ok(()),
+        }
+        match check.look() {
+            Look::Answered => notify_systemd(NotifyState::Watchdog),
+            Look::Unanswered => tracing::warn!("the router has not answered its own question yet"),
+            Look::Failed => {
+                // Closing would wait for the part that has failed.
+                mem::forget(opened);
+                return Err(RouterError::Failed);
+            }
+        }
+        logging::sum_up_repeated();
+        if freed_at.elapsed() >= memory::RETURNED_EVERY {
+            memory::return_freed();
+            freed_at = Instant::now();
         }
     }
 }
 
-/// Reports the completed start to systemd, if the router is a service of `Type=notify`.
-fn notify_systemd() {
-    if let Err(error) = sd_notify::notify(&[NotifyState::Ready]) {
-        tracing::warn!("cannot notify systemd that the router is up: {error}");
+/// Reports a state to systemd, if the router is a service of `Type=notify`.
+fn notify_systemd(state: NotifyState<'_>) {
+    if let Err(error) = sd_notify::notify(&[state]) {
+        tracing::warn!("cannot notify systemd: {error}");
     }
 }
 
@@ -151,6 +170,10 @@ fn open_services(
         let runtime = RuntimeBuilder::new(config).build().await?;
         let dynamic = DynamicRuntime::from(runtime.clone());
         dynamic.new_handler(Arc::new(limits.logins()));
+        dynamic.new_handler(Arc::new(SessionReports::of(ZenohNode {
+            zid: runtime.zid().into(),
+            whatami: runtime.whatami(),
+        })));
         let session = zenoh::session::init(dynamic).await?;
         zenoh::Result::Ok((runtime, session))
     })?;
@@ -193,6 +216,12 @@ pub enum RouterError {
     /// Zenoh panicked, usually because of a plugin; the text names it and the reason.
     #[error("cannot start: {0}")]
     Panic(String),
+    /// The running router no longer answers. The log before states what has failed.
+    #[error(
+        "the router has not answered its own questions for {} and ends, so that it can be started again; its log states what has failed",
+        humanize::duration(self_check::EVERY * self_check::MAX_UNANSWERED)
+    )]
+    Failed,
     /// A thread or a signal handler could not be created.
     #[error("cannot create a thread or a signal handler")]
     System(#[source] io::Error),

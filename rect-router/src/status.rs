@@ -16,12 +16,17 @@ pub fn serve(session: &Session) -> zenoh::Result<()> {
     serve_document(session, "any", paths::links)
 }
 
+/// Returns the key of a document.
+pub fn key(session: &Session, name: &str) -> String {
+    format!("@/{}/router/{name}", session.zid())
+}
+
 fn serve_document<T: Serialize>(
     session: &Session,
     name: &str,
     document: impl Fn() -> T + Send + Sync + 'static,
 ) -> zenoh::Result<()> {
-    let key = format!("@/{}/router/{name}", session.zid());
+    let key = key(session, name);
     let key_of_answer = key.clone();
     let queryable = session
         .declare_queryable(key)

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +14,7 @@ from typing import Any
 
 import pytest
 import rect
+import zenoh
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -44,6 +46,16 @@ class Fleet:
         """Connects a program of a robot."""
         with rect.connect(self.robots[index].name, router=self.endpoint(index)) as robot:
             yield robot
+
+    def until_served(self, robot: str, topic: str) -> None:
+        """Waits until the router of the first robot knows a service of another one."""
+        deadline = time.monotonic() + DEADLINE_MS / 1000
+        with self.program(0) as program:
+            destination = zenoh.Locality.REMOTE
+            querier = program.zenoh.declare_querier(f"rect/{robot}/{topic}", allowed_destination=destination)
+            while not querier.matching_status.matching:
+                assert time.monotonic() < deadline, f"{robot} does not serve {topic}"
+                time.sleep(0.01)
 
     @contextmanager
     def dashboard(self, *options: str, index: int = 0) -> Iterator[str]:

@@ -10,11 +10,13 @@ import subprocess
 import time
 import urllib.error
 import urllib.request
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
 import rect
 import websockets.sync.client as client
+import zenoh
 from conftest import Fleet
 from playwright.sync_api import Page, expect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -56,7 +58,7 @@ def state(connection: client.ClientConnection, kind: str) -> dict:
     raise AssertionError(f"there is no state {kind}")
 
 
-def command(connection: client.ClientConnection, **fields: object) -> dict:
+def command(connection: client.ClientConnection, /, **fields: object) -> dict:
     connection.send(json.dumps(fields))
     while True:
         answer = state(connection, "answer")
@@ -83,7 +85,7 @@ def test_values_are_never_interpreted_as_html(page: Page, fleet: Fleet, dashboar
     ("value", "shown"),
     [
         (b"[NaN, Infinity", "14"),
-        (rect.Payload(b"\xf9\x7e\x00", "application/cbor"), "null"),
+        (rect.Payload(b"\xf9\x7e\x00", "application/cbor"), "NaN"),
         (rect.Payload(b"\x89PNG damaged", "image/png"), "damaged"),
         (rect.Payload(b"[" + b"1," * 5_000_000 + b"1]", "application/json"), "too many to show"),
         (rect.Payload(b"\xff" * 10, "x" * 200), "bytes"),
@@ -217,6 +219,33 @@ def send_frame(connection: socket.socket, fields: dict) -> None:
     connection.sendall(bytes([0x81, 0x80 | len(text), 0, 0, 0, 0]) + text)
 
 
+def test_robot_confirms_a_stop_once(dashboard: str, fleet: Fleet) -> None:
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", json.dumps([fleet.endpoint(1)]))
+    key = "rect/wombat-2/stop"
+
+    def confirm(query: zenoh.Query) -> None:
+        for _ in range(3000):
+            query.reply(key, b"stopped")
+
+    with zenoh.open(config) as program, socket_of(dashboard) as browser:
+        with program.declare_queryable(key, confirm):
+            fleet.until_served("wombat-2", "stop")
+            assert command(browser, type="stop", id=1, again=False)["error"] is None
+            while "wombat-2" not in (confirmed := confirmed_by(state(browser, "stop"))):
+                pass
+            assert confirmed.count("wombat-2") == 1
+        assert command(browser, type="clear_stop", id=2)["error"] is None
+        with socket_of(dashboard) as later:
+            assert state(later, "stop")["run"] is None
+
+
+def confirmed_by(stop: dict) -> list[str]:
+    robots = stop["run"]["robots"] if stop["run"] else []
+    return [robot["robot"] for robot in robots if robot["outcome"] == "confirmed"]
+
+
 def test_flood_of_commands_is_limited(dashboard: str) -> None:
     with socket_of(dashboard) as connection:
         for number in range(1, 200):
@@ -230,6 +259,63 @@ def test_flood_of_commands_is_limited(dashboard: str) -> None:
             )
         while "at most 64 topics" not in state(connection, "answer")["error"]:
             pass
+
+
+def http(dashboard: str, start: str, *headers: str) -> bytes:
+    lines = [f"{start} HTTP/1.1", f"Host: {dashboard.removeprefix('http://')}", *headers, "", ""]
+    return "\r\n".join(lines).encode()
+
+
+@pytest.mark.parametrize("kind", ["silent", "without its body", "not reading"])
+def test_connections_that_do_nothing_keep_nobody_out(dashboard: str, kind: str) -> None:
+    form = ("Content-Type: application/x-www-form-urlencoded", "Content-Length: 1000")
+    sent = {
+        "silent": b"",
+        "without its body": http(dashboard, "POST /login", f"Origin: {dashboard}", *form),
+        "not reading": http(dashboard, "GET /assets/uPlot.iife.min.js") * 100,
+    }[kind]
+    address, port = dashboard.removeprefix("http://").split(":")
+    with ExitStack() as connections:
+        for _ in range(200):
+            connection = connections.enter_context(socket.create_connection((address, int(port))))
+            # It may have been closed already.
+            with suppress(OSError):
+                connection.sendall(sent)
+        assert request(dashboard)[0] == 200
+        with socket_of(dashboard) as browser:
+            assert state(browser, "hello")["robot"] == "wombat-1"
+
+
+def test_changes_on_this_computer_require_the_robots_login(page: Page, fleet: Fleet, tmp_path: Path) -> None:
+    users = tmp_path / "users"
+    users.write_text("team:our secret\n")
+    with fleet.dashboard("--users", str(users), "--stop", "stop") as url:
+        page.goto(f"{url}/#connections")
+        expect(page.locator(".condition")).to_have_text("live")
+        form = page.get_by_role("form", name="Add a connection")
+        expect(form).to_have_count(0)
+        connection = {"name": "base", "method": "tcp", "address": "127.0.0.1", "port": 9}
+        with socket_of(url) as browser:
+            for number, (fields, problem) in enumerate(
+                [
+                    ({"type": "publish", "to": None, "topic": "x", "value": "1", "urgent": False}, "require a login"),
+                    ({"type": "connect", "robot": "wombat-1", "connection": connection}, "require a login"),
+                    ({"type": "disconnect", "robot": "wombat-1", "name": "base"}, "require a login"),
+                    ({"type": "stop", "again": False}, None),
+                ],
+                start=1,
+            ):
+                error = command(browser, id=number, **fields)["error"]
+                assert (problem in error) if problem else error is None, (fields, error)
+        page.get_by_role("button", name="Log in").click()
+        page.get_by_label("User").fill("team")
+        page.get_by_label("Password").fill("our secret")
+        page.get_by_role("button", name="Log in").click()
+        expect(page.locator(".condition")).to_have_text("live")
+        page.goto(f"{url}/#connections")
+        expect(form).to_be_visible()
+        page.get_by_role("button", name="Log out").click()
+        expect(page.get_by_role("button", name="Log in")).to_be_visible()
 
 
 def test_login_is_required_limited_and_ends(page: Page, fleet: Fleet, tmp_path: Path) -> None:

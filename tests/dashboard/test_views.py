@@ -151,6 +151,19 @@ def test_topics_are_listed_shown_and_plotted(page: Page, fleet: Fleet, dashboard
         assert all(0 <= float(row["angle"]) < 10 for row in rows)
 
 
+def test_array_of_numbers_is_shown_and_plotted(page: Page, fleet: Fleet, dashboard: str) -> None:
+    def array(number: int) -> Any:
+        return numpy.array([number, 0.5, numpy.nan], numpy.float32)
+
+    with fleet.program(1) as robot, repeat(robot, "ranges", array):
+        page.goto(f"{dashboard}/#topics")
+        page.get_by_role("button", name="wombat-2/ranges").click()
+        expect(page.locator(".tree")).to_contain_text("2: NaN")
+        expect(page.locator(".plot canvas")).to_be_visible()
+        for series in ("0", "1"):
+            expect(page.get_by_role("group", name="Series").get_by_label(series, exact=True)).to_be_checked()
+
+
 def test_values_are_published_sent_and_requested(page: Page, fleet: Fleet, dashboard: str) -> None:
     with (
         fleet.program(1) as robot,
@@ -270,21 +283,84 @@ def test_connections_are_added_and_removed_and_errors_are_shown_at_their_field(p
     expect(row).to_have_count(0)
 
 
-def test_stop_shows_which_robots_have_confirmed(page: Page, fleet: Fleet, dashboard: str) -> None:
+def test_stop_shows_in_all_browsers_what_each_robot_has_answered(page: Page, fleet: Fleet, dashboard: str) -> None:
     stopped = []
+    may_answer = threading.Event()
+    is_stuck = threading.Event()
+    is_stuck.set()
 
     def stop(request: rect.Request) -> str:
         stopped.append(request.sender)
         return "stopped"
 
-    with fleet.program(1) as robot, robot.serve("stop", stop):
+    def refuse(_: rect.Request) -> str:
+        if is_stuck.is_set():
+            raise ValueError("the arm is stuck")
+        return "stopped"
+
+    def stop_late(_: rect.Request) -> str:
+        may_answer.wait(60)
+        return "stopped"
+
+    with (
+        fleet.program(1) as second,
+        second.serve("stop", stop),
+        fleet.program(2) as third,
+        third.serve("stop", refuse),
+        fleet.program(3) as fourth,
+        fourth.serve("stop", stop_late),
+    ):
+        for robot in ("wombat-2", "wombat-3", "wombat-4"):
+            fleet.until_served(robot, "stop")
         page.goto(dashboard)
-        expect(page.get_by_role("region", name="wombat-3", exact=True)).to_contain_text("✓ reachable")
+        other = page.context.new_page()
+        other.goto(dashboard)
+        expect(page.get_by_role("region", name="wombat-5", exact=True)).to_contain_text("✓ reachable")
         page.get_by_role("button", name="STOP").click()
-        result = page.locator(".stop-result")
-        expect(result).to_contain_text(re.compile(r"✓ wombat-2 stopped after \d"))
-        expect(result).to_contain_text("✗ wombat-3 has not confirmed")
-        assert stopped == ["wombat-1"]
+        try:
+            for browser in (page, other):
+                result = browser.locator(".stop-result")
+                expect(result).to_contain_text("1 of 3 confirmed")
+                expect(result).to_contain_text(re.compile(r"✓ wombat-2 stopped after \d"))
+                expect(result).to_contain_text("✗ wombat-3 replied with an error: the arm is stuck")
+                expect(result).to_contain_text("… wombat-4 has not confirmed yet")
+                expect(result).to_contain_text("- wombat-5 does not provide the service stop")
+            assert set(stopped) == {"wombat-1"}
+        finally:
+            may_answer.set()
+        # The answer of the first request, however late it is.
+        expect(other.locator(".stop-result")).to_contain_text("2 of 3 confirmed")
+        expect(other.locator(".stop-result")).to_contain_text(re.compile(r"✓ wombat-4 stopped after \d"))
+        is_stuck.clear()
+        count = len(stopped)
+        other.get_by_role("button", name="Ask again").click()
+        expect(page.locator(".stop-result")).to_contain_text("3 of 3 confirmed")
+        assert len(stopped) == count
+        page.reload()
+        expect(page.locator(".stop-result")).to_contain_text("3 of 3 confirmed")
+        page.get_by_role("button", name="Clear").click()
+        for browser in (page, other):
+            expect(browser.locator(".stop-result")).to_be_hidden()
+
+
+def test_stop_without_the_router_is_not_sent_until_it_is_back(page: Page, fleet: Fleet) -> None:
+    with (
+        fleet.program(1) as robot,
+        robot.serve("stop", lambda _: "stopped"),
+        fleet.dashboard("--stop", "stop", index=ROBOTS - 1) as url,
+    ):
+        page.goto(url)
+        expect(page.get_by_role("region", name="wombat-2", exact=True)).to_contain_text("✓ reachable")
+        fleet.robots[-1].stop()
+        try:
+            expect(page.locator(".condition")).to_have_text("the router does not answer")
+            page.get_by_role("button", name="STOP").click()
+            result = page.locator(".stop-result")
+            expect(result).to_contain_text("not sent")
+            expect(result).to_contain_text("✗ wombat-2 cannot be reached")
+        finally:
+            fleet.robots[-1].start()
+        expect(result).to_contain_text("✓ wombat-2 stopped")
 
 
 def test_record_button_makes_a_recording(page: Page, fleet: Fleet, dashboard: str) -> None:

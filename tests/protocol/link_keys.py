@@ -3,7 +3,7 @@
 Noise, the derivation of the keys, and the first SDUs in both directions. It uses the package `cryptography`.
 
 usage: link_keys.py [--write]
-Compares its result with the test vectors in crates/link-lanes/vectors/version-2.json, or writes them.
+Compares its result with the test vectors in crates/link-lanes/vectors/keys.json, or writes them.
 """
 
 from __future__ import annotations
@@ -14,13 +14,18 @@ import hmac
 import json
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from cryptography.hazmat.primitives.asymmetric.x25519 import X25519PrivateKey, X25519PublicKey
 from cryptography.hazmat.primitives.ciphers.aead import AESCCM, ChaCha20Poly1305
 
-VECTORS = Path(__file__).resolve().parents[2] / "crates" / "link-lanes" / "vectors" / "version-2.json"
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+VECTORS = Path(__file__).resolve().parents[2] / "crates" / "link-lanes" / "vectors"
 NOISE = b"Noise_NNpsk2_25519_ChaChaPoly_SHA256"
 VERSION = 2
+SECRET = "fleet:a secret for test vectors"
 # The head of a sealed message of the handshake.
 SEALED_MESSAGE = b"\xf0"
 SDUS_PER_KEY = 1 << 20
@@ -30,11 +35,26 @@ def derive(key: bytes, label: bytes) -> bytes:
     return hmac.new(key, label, hashlib.sha3_256).digest()
 
 
-class Noise:
-    """The symmetric state of Noise (sections 5.1 and 5.2 of its specification), and the two messages of NNpsk2."""
+def psk_of(secret: str) -> bytes:
+    return derive(secret.encode(), b"RECT link 2 psk")
 
-    def __init__(self, prologue: bytes, psk: bytes) -> None:
-        self.hash = hashlib.sha256(NOISE).digest() if len(NOISE) > 32 else NOISE.ljust(32, b"\0")
+
+def public_key(private: bytes) -> bytes:
+    return X25519PrivateKey.from_private_bytes(private).public_key().public_bytes_raw()
+
+
+def exchange(private: bytes, public: bytes) -> bytes:
+    """X25519. The result for a key of low order, which the package rejects, is zero."""
+    if public == bytes(32):
+        return bytes(32)
+    return X25519PrivateKey.from_private_bytes(private).exchange(X25519PublicKey.from_public_bytes(public))
+
+
+class Noise:
+    """The symmetric state of Noise (sections 5.1 and 5.2 of its specification)."""
+
+    def __init__(self, prologue: bytes, psk: bytes, name: bytes = NOISE) -> None:
+        self.hash = hashlib.sha256(name).digest() if len(name) > 32 else name.ljust(32, b"\0")
         self.chaining_key = self.hash
         self.key = b""
         self.psk = psk
@@ -97,56 +117,85 @@ def hello(kind: int, node: int, name: bytes) -> bytes:
     return b"RECT" + bytes([kind, VERSION]) + fixed + bytes([len(name)]) + name
 
 
+class Agreement:
+    """The key agreement NNpsk2 after both messages, of which the dialler's has the ephemeral key `public`."""
+
+    def __init__(self, header: bytes, psk: bytes, public: bytes, listener: bytes) -> None:
+        noise = Noise(header, psk)
+        # -> e
+        noise.ephemeral(public)
+        self.key = public + noise.encrypt_nothing()
+        # <- e, ee, psk
+        noise.ephemeral(public_key(listener))
+        noise.mix_key(exchange(listener, public))
+        noise.mix_key_and_hash(psk)
+        self.answer = public_key(listener) + noise.encrypt_nothing()
+        self.root = derive(b"".join(noise.split()), noise.hash)
+
+    def export(self, use: bytes) -> bytes:
+        return derive(self.root, b"RECT link 2 export " + use)
+
+    def seals(self) -> tuple[Seal, Seal]:
+        return Seal(derive(self.root, b"RECT link 2 dialler")), Seal(derive(self.root, b"RECT link 2 listener"))
+
+
 def vectors() -> dict[str, object]:
-    secret = "fleet:a secret for test vectors"
-    psk = derive(secret.encode(), b"RECT link 2 psk")
+    psk = psk_of(SECRET)
     dialler, listener = bytes(range(1, 33)), bytes(range(101, 133))
-    header = b"RECT" + bytes([4, VERSION])
-    public = [X25519PrivateKey.from_private_bytes(key).public_key().public_bytes_raw() for key in (dialler, listener)]
-    noise = Noise(header, psk)
-    # -> e
-    noise.ephemeral(public[0])
-    key = public[0] + noise.encrypt_nothing()
-    # <- e, ee, psk
-    noise.ephemeral(public[1])
-    shared = X25519PrivateKey.from_private_bytes(dialler).exchange(X25519PublicKey.from_public_bytes(public[1]))
-    noise.mix_key(shared)
-    noise.mix_key_and_hash(psk)
-    answer = public[1] + noise.encrypt_nothing()
-    root = derive(b"".join(noise.split()), noise.hash)
-    seals = Seal(derive(root, b"RECT link 2 dialler")), Seal(derive(root, b"RECT link 2 listener"))
+    header, answer_header = b"RECT" + bytes([4, VERSION]), b"RECT" + bytes([5, VERSION])
+    agreement = Agreement(header, psk, public_key(dialler), listener)
+    low_order = Agreement(header, psk, bytes(32), listener)
+    # The key agreement of an `any` link that begins on TCP.
+    on_tcp = Agreement(b"RECTM\x01" + header, psk, public_key(dialler), listener)
+    first = SEALED_MESSAGE + hello(1, 5, b"wombat-1")
     contents = (
-        [SEALED_MESSAGE + hello(1, 5, b"wombat-1"), b"\x00a batch", b"\x10\x00\x02", b"\x40\x00"],
+        [first, b"\x00a batch", b"\x10\x00\x02", b"\x40\x00"],
         [SEALED_MESSAGE + hello(2, 6, b"wombat-2"), b"\x05another batch", b"\x25", b"\x50\x18\x00"],
     )
     dialled, listened = (
         [{"content": content.hex(), "sealed": seal.seal(content).hex()} for content in of_side]
-        for seal, of_side in zip(seals, contents, strict=True)
+        for seal, of_side in zip(agreement.seals(), contents, strict=True)
     )
     return {
-        "secret": secret,
+        "secret": SECRET,
         "dialler_ephemeral": dialler.hex(),
         "listener_ephemeral": listener.hex(),
         "pre_shared_key": psk.hex(),
-        "key": (header + key).hex(),
-        "key_answer": (b"RECT" + bytes([5, VERSION]) + answer).hex(),
-        "export_path": derive(root, b"RECT link 2 export path").hex(),
+        "key": (header + agreement.key).hex(),
+        "key_answer": (answer_header + agreement.answer).hex(),
+        "export_path": agreement.export(b"path").hex(),
         "dialler": dialled,
         "listener": listened,
+        "low_order": {
+            "key": (header + low_order.key).hex(),
+            "key_answer": (answer_header + low_order.answer).hex(),
+            "hello": low_order.seals()[0].seal(first).hex(),
+        },
+        "tcp": {
+            "key": (header + on_tcp.key).hex(),
+            "key_answer": (answer_header + on_tcp.answer).hex(),
+            "any_key": on_tcp.export(b"any key").hex(),
+            "any_tag": on_tcp.export(b"any tag").hex(),
+        },
     }
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+def main(description: str | None, files: dict[Path, Callable[[], object]]) -> None:
+    parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", action="store_true", help="write the vectors")
-    text = json.dumps(vectors(), indent=2) + "\n"
-    if parser.parse_args().write:
-        VECTORS.write_text(text)
-    elif VECTORS.read_text() != text:
-        print(f"{VECTORS} differs from what this implementation computes", file=sys.stderr)
-        return 1
-    return 0
+    is_written = parser.parse_args().write
+    different = []
+    for path, compute in files.items():
+        text = json.dumps(compute(), indent=2) + "\n"
+        if is_written:
+            path.parent.mkdir(exist_ok=True)
+            path.write_text(text)
+        elif not path.exists() or path.read_text() != text:
+            different.append(path)
+    for path in different:
+        print(f"{path} differs from what this implementation computes", file=sys.stderr)
+    sys.exit(bool(different))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main(__doc__, {VECTORS / "keys.json": vectors})

@@ -65,8 +65,7 @@ pub(crate) async fn dial(
     if let Ok(dialled) = tokio::time::timeout(locator.timeout, dialling).await {
         return dialled;
     }
-    // After the handshake, the link with the peer is the one of this dial.
-    if step != DialStep::RerouteHoldoff && node.link_table().is_linked(&locator.target) {
+    if node.link_table().is_linked(&locator.target) {
         return Err(already_linked(locator));
     }
     let target = locator.target.to_string();
@@ -87,7 +86,7 @@ pub(crate) async fn dial(
 /// Dials the peer once there is no link with it and no other dial to it. Sets `step` to the current step.
 async fn dial_when_free(
     node: &Arc<Node>,
-    adapter: &Adapter,
+    adapter: &Arc<Adapter>,
     locator: &ConnectLocator,
     path: Option<PathOf>,
     step: &mut DialStep,
@@ -110,7 +109,7 @@ async fn dial_when_free(
 /// Discovers the peer and opens a link.
 async fn dial_once(
     node: &Arc<Node>,
-    adapter: &Adapter,
+    adapter: &Arc<Adapter>,
     locator: &ConnectLocator,
     path: Option<PathOf>,
     dialling: &mut DialEntry,
@@ -131,14 +130,19 @@ async fn dial_once(
         number: dialling.number,
         path,
     };
+    let mut connection = adapter.connections.use_one(candidate.device);
     let opened = open(node, dial, adapter, locator, &candidate, step).await;
-    // After a refusal, the BLE connection may carry the link that the peer has dialled.
-    let is_in_use = matches!(
+    let gives_way = matches!(
         opened,
-        Ok(_) | Err(BleError::Refused { .. } | BleError::AlreadyLinked { .. })
+        Err(BleError::AlreadyLinked { .. }
+            | BleError::Refused {
+                refusal: Refusal::AlreadyLinked | Refusal::Crossing,
+                ..
+            })
     );
-    if !is_in_use {
-        adapter.radio.disconnect(candidate.device).await;
+    // The channel that the peer has dialled may need the connection.
+    if opened.is_err() && !gives_way {
+        connection.end_here();
     }
     let is_rejected = match &opened {
         Err(BleError::NoSharedSecret { .. }) => true,
@@ -166,6 +170,7 @@ async fn dial_once(
         device,
         default: adapter.radio.default_interval(),
         is_central: channel.is_central().unwrap_or(true),
+        can_change: adapter.radio.changes_open_connections(),
     };
     let answered = peer
         .as_ref()
@@ -181,7 +186,8 @@ async fn dial_once(
         exporter,
         framing: Framing::with(&channel, peer.as_ref(), protection, None),
         channel,
-        radio: Arc::clone(&adapter.radio),
+        adapter: Arc::clone(adapter),
+        connection: Some(connection),
         mtu,
         queueing: locator.queueing,
         peer_name: peer.map_or_else(|| locator.target.to_string(), |p| p.name),
@@ -195,13 +201,7 @@ async fn dial_once(
         }
     })?;
     set_if_changed(adapter.radio.as_ref(), device, own, Some(interval)).await;
-    let action = node.intervals().next_action();
-    node.perform(action);
-    *step = DialStep::RerouteHoldoff;
-    tokio::select! {
-        () = node.wait_for_holdoff(dialling.number) => {}
-        () = link.ended() => {}
-    }
+    node.perform_for_new_link();
     // A link that has ended meanwhile is not handed to Zenoh.
     link.check().map(|()| link)
 }
@@ -250,9 +250,17 @@ async fn open(
         });
     }
     node.wait_for_handshakes_with(candidate.device).await;
+    adapter
+        .connections
+        .wait_until_closed(candidate.device)
+        .await;
     let mut offered = node
         .request_interval(adapter.radio.as_ref(), candidate.device)
         .await;
+    if offered.is_some() && !adapter.radio.changes_open_connections() {
+        // The connection of an ended link would keep its interval.
+        adapter.connections.close_remaining(candidate.device).await;
+    }
     let channel = connect(adapter, options, candidate, limit).await?;
     if channel.is_central() == Some(false) {
         offered = Some(node.intervals().for_peripheral());

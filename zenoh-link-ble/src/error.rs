@@ -143,8 +143,6 @@ pub enum DialStep {
     Connect,
     /// Performing the handshake on the channel.
     Handshake,
-    /// Waiting for the reroute holdoff of the opened link.
-    RerouteHoldoff,
 }
 
 impl fmt::Display for DialStep {
@@ -154,7 +152,6 @@ impl fmt::Display for DialStep {
             Self::Discovery => "no advertisement received",
             Self::Connect => "it was discovered, but connecting the channel is not complete",
             Self::Handshake => "the channel is connected, but the handshake is not complete",
-            Self::RerouteHoldoff => "the link was opened, but the reroute holdoff has not ended",
         })
     }
 }

@@ -3,6 +3,7 @@
 //! The messages are defined in [`hello`](link_lanes::hello), and the agreement on keys in
 //! [`key_agreement`](link_lanes::key_agreement).
 use link_lanes::{
+    first_message::{decide, decide_sealed, FirstMessage, Rejection},
     hello::{HandshakeMessage, Hello, Key, Refusal, MIN_MTU, VERSION},
     key_agreement::{respond, Exporter, Initiator},
     lanes::{
@@ -96,10 +97,7 @@ impl HandshakeChannel {
         self.send(&HandshakeMessage::Hello(own)).await?;
         match self.receive_message().await? {
             HandshakeMessage::Accept(hello) if hello.version == VERSION => Ok(hello),
-            HandshakeMessage::Accept(hello) => Err(self.protocol(&format!(
-                "it chose version {}, and this side offered version {VERSION}",
-                hello.version
-            ))),
+            HandshakeMessage::Accept(hello) => Err(self.other_version(hello.version)),
             other => Err(self.unexpected(&other)),
         }
     }
@@ -113,7 +111,8 @@ impl HandshakeChannel {
         self.send(&HandshakeMessage::Key(Key { version, message }))
             .await?;
         let answer = match self.receive_message().await? {
-            HandshakeMessage::KeyAnswer(answer) => answer,
+            HandshakeMessage::KeyAnswer(answer) if answer.version == VERSION => answer,
+            HandshakeMessage::KeyAnswer(answer) => return Err(self.other_version(answer.version)),
             // The peer accepts every dialler, and therefore has no secret.
             HandshakeMessage::Accept(_) => return Err(self.no_shared_secret()),
             other => return Err(self.unexpected(&other)),
@@ -142,42 +141,14 @@ impl HandshakeChannel {
         secret: Option<&Secret>,
     ) -> Result<FirstSdu, BleError> {
         let sdu = self.receive().await?;
-        if is_zenoh_init(&sdu) {
-            return match secret {
-                // A plain peer has no secret.
-                Some(_) => Err(self.no_shared_secret()),
-                None => Ok(FirstSdu::Plain(sdu)),
-            };
-        }
-        let message = match HandshakeMessage::decode(&sdu) {
-            Ok(message) => message,
-            Err(error) => {
-                if let Some(refusal) = error.refusal(&sdu) {
-                    self.refuse(refusal).await?;
-                }
-                return Err(self.protocol(&error.to_string()));
-            }
-        };
-        match (message, secret) {
-            (HandshakeMessage::Hello(hello), None) => Ok(FirstSdu::Hello(hello)),
-            (HandshakeMessage::Key(key), Some(secret)) => {
+        match decide(&sdu, secret) {
+            Ok(FirstMessage::Hello(hello)) => Ok(FirstSdu::Hello(hello)),
+            Ok(FirstMessage::Key(key, secret)) => {
                 let hello = self.agree_as_listener(&key, secret).await?;
                 Ok(FirstSdu::Hello(hello))
             }
-            // One of the two has no secret.
-            (HandshakeMessage::Hello(_) | HandshakeMessage::Key(_), _) => {
-                self.refuse(Refusal::Secret).await?;
-                Err(self.no_shared_secret())
-            }
-            // This answers this node's own first message, but on the channel that the peer has opened.
-            (HandshakeMessage::Accept(_) | HandshakeMessage::KeyAnswer(_), _) => {
-                Err(BleError::Misdirected {
-                    peer: self.channel.peer(),
-                })
-            }
-            (HandshakeMessage::Refuse(_), _) => {
-                Err(self.protocol("it sent an answer instead of a hello"))
-            }
+            Ok(FirstMessage::Plain) => Ok(FirstSdu::Plain(sdu)),
+            Err(rejection) => self.reject(rejection).await,
         }
     }
 
@@ -186,38 +157,39 @@ impl HandshakeChannel {
         let answered = respond(secret, &Key::header(key.version), &key.message);
         let (message, agreed) = match answered {
             Ok(answered) => answered,
-            Err(error) => {
-                self.refuse(Refusal::Malformed).await?;
-                return Err(self.protocol(&error.to_string()));
-            }
+            Err(error) => return self.reject(error.into()).await,
         };
         let answer = Key {
             version: VERSION,
             message,
         };
         self.answer(&HandshakeMessage::KeyAnswer(answer)).await?;
-        let mut sdu = self.receive().await?;
-        // A dialler with another secret refuses, without keys to seal its refusal.
-        if is_refusal_of_secret(&sdu) {
-            return Err(self.no_shared_secret());
+        let (mut sdu, mut keys) = (self.receive().await?, agreed.keys);
+        let decided = decide_sealed(&mut keys, &mut sdu);
+        if decided.as_ref().err().is_none_or(Rejection::is_sealed) {
+            self.keys = Some(keys);
+            self.exporter = Some(agreed.exporter);
         }
-        let mut keys = agreed.keys;
-        let message = match sealed_message::open(&mut keys, &mut sdu) {
-            Ok(message) => message,
-            Err(error) => {
-                self.refuse(Refusal::Secret).await?;
-                return Err(self.protocol(&error.to_string()));
-            }
-        };
-        self.keys = Some(keys);
-        self.exporter = Some(agreed.exporter);
-        match message {
-            HandshakeMessage::Hello(hello) => Ok(hello),
-            other => {
-                self.refuse(Refusal::Malformed).await?;
-                Err(self.unexpected(&other))
-            }
+        match decided {
+            Ok(hello) => Ok(hello),
+            Err(rejection) => self.reject(rejection).await,
         }
+    }
+
+    /// Refuses the dialler, unless its message is not answered, and returns the reason as an error.
+    async fn reject<T>(&mut self, rejection: Rejection) -> Result<T, BleError> {
+        if let Some(refusal) = rejection.refusal() {
+            self.refuse(refusal).await?;
+        }
+        Err(match rejection {
+            Rejection::NoSharedSecret
+            | Rejection::RefusedByDialler
+            | Rejection::PlainWithSecret => self.no_shared_secret(),
+            Rejection::Misdirected => BleError::Misdirected {
+                peer: self.channel.peer(),
+            },
+            other => self.protocol(&other.to_string()),
+        })
     }
 
     /// Sends a refusal and waits until the peer closes the channel, which it does when it has read the refusal.
@@ -281,6 +253,12 @@ impl HandshakeChannel {
         self.protocol(what)
     }
 
+    fn other_version(&self, version: u8) -> BleError {
+        self.protocol(&format!(
+            "it chose version {version}, and this side offered version {VERSION}"
+        ))
+    }
+
     fn no_shared_secret(&self) -> BleError {
         BleError::NoSharedSecret {
             peer: self.channel.peer(),
@@ -290,11 +268,6 @@ impl HandshakeChannel {
     fn protocol(&self, what: &str) -> BleError {
         protocol(&self.channel, what)
     }
-}
-
-/// Returns whether the SDU is the refusal of a peer with another secret.
-fn is_refusal_of_secret(sdu: &[u8]) -> bool {
-    HandshakeMessage::decode(sdu) == Ok(HandshakeMessage::Refuse(Refusal::Secret))
 }
 
 /// Discards received SDUs of any size until the peer has closed the channel. If this side closed first, the end of the
@@ -335,11 +308,6 @@ pub(crate) fn agreed_mtu(
         ));
     }
     Ok(mtu)
-}
-
-/// Returns whether the SDU is a Zenoh InitSyn: it has message id 1 in the low five bits, and more than a header.
-fn is_zenoh_init(sdu: &[u8]) -> bool {
-    sdu.len() > 1 && sdu.first().is_some_and(|byte| byte & 0x1f == 0x01)
 }
 
 fn timed_out() -> BleError {

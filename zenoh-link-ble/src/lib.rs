@@ -7,6 +7,7 @@
 //! Zenoh uses this crate through [`LinkManagerUnicastBle`], which dials and accepts links.
 #![cfg_attr(not(test), warn(clippy::unwrap_used, clippy::expect_used))]
 mod adapter;
+mod connections;
 mod dialer;
 mod discovered;
 mod error;

@@ -1,8 +1,7 @@
 //! Implements Zenoh's link trait for an open link, whose batches travel on lanes or, to a plain peer, without framing.
 //!
 //! Its submodules carry the batches (`traffic`, `plain`), decide which links exist ([`table`]), end a link once
-//! (`close_once`), delay its successor (`reroute_holdoff`), and keep what all links of a node share (`node`, `history`,
-//! `open_links`).
+//! (`close_once`), and keep what all links of a node share (`node`, `history`, `open_links`).
 pub(crate) mod close_once;
 pub(crate) mod history;
 pub(crate) mod interval_events;
@@ -12,7 +11,6 @@ mod number;
 mod open_links;
 pub mod path;
 mod plain;
-pub(crate) mod reroute_holdoff;
 pub(crate) mod status;
 pub mod table;
 mod traffic;
@@ -32,7 +30,7 @@ use link_lanes::{
     lanes::{sdu::Protection, Lane},
 };
 use tokio_util::sync::CancellationToken;
-use zenoh_link_ble_radio::{interval::ConnectionInterval, Channel, Radio};
+use zenoh_link_ble_radio::{interval::ConnectionInterval, Channel};
 use zenoh_link_commons::{LinkAuthId, LinkUnicastTrait};
 use zenoh_protocol::{
     core::{Locator, Priority},
@@ -41,6 +39,8 @@ use zenoh_protocol::{
 use zenoh_result::ZResult;
 
 use crate::{
+    adapter::Adapter,
+    connections::ConnectionGuard,
     error::{describe, into_zenoh, BleError},
     handshake::own_window,
     link::{
@@ -55,6 +55,9 @@ use crate::{
     },
     locator::{Queueing, BLE_LOCATOR_PREFIX},
 };
+
+/// How long closing a link waits until its BLE connection is closed.
+const DISCONNECT_TIMEOUT: Duration = Duration::from_millis(500);
 
 /// The framing of the batches of a link.
 pub(crate) enum Framing {
@@ -97,7 +100,9 @@ impl Framing {
 /// The parts of a link after its handshake.
 pub(crate) struct Opened {
     pub channel: Arc<dyn Channel>,
-    pub radio: Arc<dyn Radio>,
+    pub adapter: Arc<Adapter>,
+    /// Keeps the BLE connection open.
+    pub connection: Option<ConnectionGuard>,
     pub framing: Framing,
     pub mtu: u16,
     pub queueing: Queueing,
@@ -115,7 +120,7 @@ pub(crate) struct Opened {
 /// An open link, as Zenoh uses it.
 pub(crate) struct LinkBle {
     channel: Arc<dyn Channel>,
-    radio: Arc<dyn Radio>,
+    adapter: Arc<Adapter>,
     batches: Batches,
     mtu: u16,
     is_encrypted: bool,
@@ -143,7 +148,8 @@ impl LinkBle {
     pub(crate) fn new(node: Arc<Node>, number: LinkNumber, opened: Opened) -> ZResult<Arc<Self>> {
         let Opened {
             channel,
-            radio,
+            adapter,
+            connection,
             framing,
             mtu,
             queueing,
@@ -153,7 +159,6 @@ impl LinkBle {
             path,
             exporter,
         } = opened;
-        let adapter = channel.adapter().to_owned();
         let peer = if peer_name.is_empty() {
             channel.peer().to_string()
         } else {
@@ -161,12 +166,13 @@ impl LinkBle {
         };
         // Zenoh identifies links by their locators. The number distinguishes this link from an earlier one with the same
         // peer.
-        let src = Locator::new(BLE_LOCATOR_PREFIX, &adapter, format!("link={}", number.0))?;
+        let name = channel.adapter().to_owned();
+        let src = Locator::new(BLE_LOCATOR_PREFIX, &name, format!("link={}", number.0))?;
         let dst = Locator::new(BLE_LOCATOR_PREFIX, &peer, "")?;
         let is_encrypted = is_paired || framing.is_encrypted();
         let how = if is_encrypted { "" } else { ", not encrypted" };
-        tracing::info!("ble: linked with {peer} on {adapter}{how}");
-        let close_once = CloseOnce::new(Arc::clone(&node), number, peer.clone());
+        tracing::info!("ble: linked with {peer} on {name}{how}");
+        let close_once = CloseOnce::new(Arc::clone(&node), number, peer.clone(), connection);
         let batches = match framing {
             Framing::Lanes {
                 own_window,
@@ -192,7 +198,7 @@ impl LinkBle {
         };
         let link = Arc::new(Self {
             channel,
-            radio,
+            adapter,
             batches,
             mtu,
             is_encrypted,
@@ -251,14 +257,6 @@ impl LinkBle {
         }
     }
 
-    /// Waits until the link has ended. The end of a plain link is noticed only when it is read: this then never returns.
-    pub(crate) async fn ended(&self) {
-        match &self.batches {
-            Batches::Lanes { traffic, .. } => traffic.ended().await,
-            Batches::Plain(_) => std::future::pending().await,
-        }
-    }
-
     /// Returns the state of the link.
     pub(crate) fn status(&self) -> LinkStatus {
         let (lanes, sent, received) = match &self.batches {
@@ -287,7 +285,8 @@ impl LinkBle {
 
     /// Sets the connection interval of the link, of which this node is the central, and announces it to the peer.
     pub(crate) async fn set_interval(&self, interval: ConnectionInterval) {
-        if self.radio.set_interval(self.channel.peer(), interval).await {
+        let radio = &self.adapter.radio;
+        if radio.set_interval(self.channel.peer(), interval).await {
             self.send_interval(interval);
         }
     }
@@ -334,7 +333,6 @@ impl Drop for LinkBle {
     fn drop(&mut self) {
         self.channel.shutdown();
         self.close_once.close("Zenoh dropped it");
-        self.close_once.release();
     }
 }
 
@@ -414,12 +412,18 @@ impl LinkUnicastTrait for LinkBle {
 
     async fn close(&self) -> ZResult<()> {
         if !self.is_closed.swap(true, Ordering::AcqRel) {
+            self.close_once.end_here();
             if let Batches::Lanes { traffic, .. } = &self.batches {
                 traffic.finish(self.linger).await;
             }
             self.channel.shutdown();
             self.close_once.close("closed by this side");
-            self.close_once.release();
+            // The program may exit next.
+            let closed = self
+                .adapter
+                .connections
+                .wait_until_closed(self.channel.peer());
+            let _ = tokio::time::timeout(DISCONNECT_TIMEOUT, closed).await;
         }
         Ok(())
     }

@@ -17,6 +17,7 @@ use zenoh_link_commons::{LinkUnicast, LinkUnicastTrait};
 
 use crate::{
     adapter::Adapter,
+    connections::ConnectionGuard,
     error::{describe, BleError},
     handshake::{agreed_mtu, channel_options, own_window, FirstSdu, HandshakeChannel},
     link::{
@@ -204,10 +205,12 @@ impl Listener {
             tokio::select! {
                 accepted = bound.channels.accept() => match accepted {
                     Ok(channel) => {
+                        let connection = self.adapter.connections.use_one(channel.peer());
                         if let Some(permit) = HandshakePermit::acquire(self, channel.peer()) {
                             let listener = Arc::clone(self);
-                            handshakes
-                                .spawn(async move { listener.handle_channel(channel, permit).await });
+                            handshakes.spawn(async move {
+                                listener.handle_channel(channel, connection, permit).await;
+                            });
                         }
                     }
                     Err(error) => return error.to_string(),
@@ -252,17 +255,28 @@ impl Listener {
     }
 
     /// Performs the handshake on a channel and hands the link to Zenoh. An error ends only this channel.
-    async fn handle_channel(&self, channel: Arc<dyn Channel>, permit: HandshakePermit) {
+    async fn handle_channel(
+        &self,
+        channel: Arc<dyn Channel>,
+        connection: ConnectionGuard,
+        permit: HandshakePermit,
+    ) {
         let peer = channel.peer();
         let handshake = self.node.begin_handshake(peer);
-        let opened = self.open(channel, peer, permit).await;
+        let mut connection = Some(connection);
+        let opened = self.open(channel, peer, permit, &mut connection).await;
         drop(handshake);
+        // A peer whose handshake was evicted dials again, and may use the connection for that.
+        if !matches!(opened, Ok(Outcome::Evicted)) {
+            connection.iter_mut().for_each(ConnectionGuard::end_here);
+        }
+        drop(connection);
         match opened {
-            Ok(Some(link)) if link.path().is_some() => match self.node.path_acceptor() {
+            Ok(Outcome::Linked(link)) if link.path().is_some() => match self.node.path_acceptor() {
                 Some(acceptor) => acceptor.on_path(BlePath::new(link)),
                 None => tracing::debug!("ble: dropped a path from {peer}: the router is stopping"),
             },
-            Ok(Some(link)) => {
+            Ok(Outcome::Linked(link)) => {
                 let link: Arc<dyn LinkUnicastTrait> = link;
                 if self
                     .node
@@ -274,7 +288,7 @@ impl Listener {
                     tracing::debug!("ble: dropped a link with {peer}: the router is stopping");
                 }
             }
-            Ok(None) => {}
+            Ok(Outcome::Refused | Outcome::Evicted) => {}
             Err(error) => {
                 if let BleError::Misdirected { .. } = error {
                     self.node.link_table().on_misdirected(peer);
@@ -284,17 +298,18 @@ impl Listener {
         }
     }
 
-    /// Performs the handshake. Returns the link, or `None` if it was refused or evicted.
+    /// Performs the handshake. A link takes `connection`.
     async fn open(
         &self,
         channel: Arc<dyn Channel>,
         device: DeviceAddress,
         permit: HandshakePermit,
-    ) -> Result<Option<Arc<LinkBle>>, BleError> {
+        connection: &mut Option<ConnectionGuard>,
+    ) -> Result<Outcome, BleError> {
         let mut handshake = HandshakeChannel::new(&channel);
         let received = handshake.receive_hello(self.secret.as_ref());
         let Some(received) = permit.unless_evicted(received).await else {
-            return Ok(None);
+            return Ok(Outcome::Evicted);
         };
         let (peer, first) = match received? {
             FirstSdu::Hello(hello) => (Some(hello), None),
@@ -316,7 +331,7 @@ impl Listener {
             if let Some(refusal) = acceptor.refusal(&peer.name, peer.node, path, free_places) {
                 permit.succeed();
                 handshake.refuse(refusal).await?;
-                return Ok(None);
+                return Ok(Outcome::Refused);
             }
         }
         let replaced = CancellationToken::new();
@@ -344,9 +359,9 @@ impl Listener {
                         refused?;
                     }
                 }
-                return Ok(None);
+                return Ok(Outcome::Refused);
             }
-            (Verdict::Accept, None) => return Ok(None),
+            (Verdict::Accept, None) => return Ok(Outcome::Refused),
         };
         // From here on, max_links limits the number of links.
         permit.succeed();
@@ -361,6 +376,7 @@ impl Listener {
             device,
             default: radio.default_interval(),
             is_central,
+            can_change: radio.changes_open_connections(),
         };
         let offered = peer
             .as_ref()
@@ -391,7 +407,8 @@ impl Listener {
             }),
             exporter,
             channel: Arc::clone(&channel),
-            radio: Arc::clone(&self.adapter.radio),
+            adapter: Arc::clone(&self.adapter),
+            connection: connection.take(),
             framing: Framing::with(&channel, peer.as_ref(), protection, first),
             mtu,
             queueing: self.locator.queueing,
@@ -406,15 +423,19 @@ impl Listener {
                 what: error.to_string(),
             }
         })?;
-        let action = self.node.intervals().next_action();
-        self.node.perform(action);
-        tokio::select! {
-            () = self.node.wait_for_holdoff(number) => {}
-            () = link.ended() => {}
-        }
+        self.node.perform_for_new_link();
         // A link that has ended meanwhile is not handed to Zenoh.
-        link.check().map(|()| Some(link))
+        link.check().map(|()| Outcome::Linked(link))
     }
+}
+
+/// The result of a handshake.
+enum Outcome {
+    Linked(Arc<LinkBle>),
+    /// This side has refused the link.
+    Refused,
+    /// Another handshake took its place.
+    Evicted,
 }
 
 /// The permission to perform a handshake. Dropping it ends the handshake.

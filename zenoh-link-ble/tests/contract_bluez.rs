@@ -12,7 +12,9 @@ mod shared {
 
 use std::{process::Command, time::Duration};
 
-use contract::{channel, flooding, handshake, handshake_flood, link, misbehaving, secret, World};
+use contract::{
+    channel, closing, flooding, handshake, handshake_flood, link, misbehaving, secret, World,
+};
 use shared::peer::within;
 
 /// Returns the names of the two adapters.
@@ -29,10 +31,12 @@ fn adapters() -> Option<(String, String)> {
 
 fn world(a: &str, b: &str) -> World {
     let (one, both) = (a.to_owned(), [a.to_owned(), b.to_owned()]);
+    let adapters = both.clone();
     World {
         a: zenoh_link_ble_bluez::radio(Some(a)).expect("opens"),
         b: zenoh_link_ble_bluez::radio(Some(b)).expect("opens"),
         is_simulated: false,
+        is_connected: Box::new(move || Box::pin(is_connected(adapters.clone()))),
         lose_links: Box::new(move || run("room", &["drop", &one])),
         set_pace: Box::new(move |bytes_per_s| {
             for adapter in &both {
@@ -40,6 +44,16 @@ fn world(a: &str, b: &str) -> World {
             }
         }),
     }
+}
+
+/// Returns whether bluetoothd reports a connection between two adapters.
+async fn is_connected([one, other]: [String; 2]) -> bool {
+    let session = bluer::Session::new().await.expect("reaches bluetoothd");
+    let adapter = |name: &str| session.adapter(name).expect("a valid name");
+    let peer = adapter(&other).address().await.expect("is known");
+    let device = adapter(&one).device(peer).expect("a valid address");
+    // bluetoothd does not know a device that it has not found.
+    device.is_connected().await.unwrap_or(false)
 }
 
 /// Runs a program of the VM (`tests/vm/guest`).

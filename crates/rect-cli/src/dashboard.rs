@@ -8,7 +8,7 @@ use std::{
 use clap::Args;
 use rect::Topic;
 use rect_core::session::login::{default_file, FILE_VARIABLE};
-use rect_dashboard::{Dashboard, Settings};
+use rect_dashboard::{Dashboard, LoginFor, Settings};
 use rect_terminal::errln;
 
 use crate::{session::JoinArguments, Done};
@@ -16,7 +16,7 @@ use crate::{session::JoinArguments, Done};
 /// Show the robots, their links and their data in a browser, until Ctrl-C
 ///
 /// Open the address that is printed. Messages are transmitted only for what a browser shows. Beyond this computer, the page
-/// requires a login of the team.
+/// requires a login of the team. On this computer, changes require one if there is a login file.
 #[derive(Args)]
 pub struct DashboardArguments {
     /// The address and port for browsers, such as 0.0.0.0:8080 for all networks
@@ -34,7 +34,7 @@ pub struct DashboardArguments {
     /// Let the page neither publish nor change anything
     #[arg(long)]
     read_only: bool,
-    /// Require a login of this file also on this computer [default beyond this computer: $RECT_LOGIN, else /etc/rect/users]
+    /// Require a login of this file, also to look at the page on this computer [default beyond this computer: $RECT_LOGIN, else /etc/rect/users]
     #[arg(long, value_name = "FILE")]
     logins: Option<PathBuf>,
     /// Encrypt with this certificate, a file in PEM
@@ -55,10 +55,14 @@ pub struct DashboardArguments {
 
 impl DashboardArguments {
     fn settings(&self) -> Settings {
-        let logins = match &self.logins {
-            Some(file) => Some(file.clone()),
-            None if self.listen.ip().is_loopback() => None,
-            None => Some(default_file(std::env::var(FILE_VARIABLE).ok()).into()),
+        let (logins, login_for) = match &self.logins {
+            Some(file) => (Some(file.clone()), LoginFor::Everything),
+            None if !self.listen.ip().is_loopback() => {
+                let file = default_file(std::env::var(FILE_VARIABLE).ok());
+                (Some(file.into()), LoginFor::Everything)
+            }
+            None if self.read_only => (None, LoginFor::Changes),
+            None => (Some(self.join.login_file()), LoginFor::Changes),
         };
         Settings {
             listen: self.listen,
@@ -66,6 +70,7 @@ impl DashboardArguments {
             record: self.record.clone(),
             read_only: self.read_only,
             logins,
+            login_for,
             certificate: self.certificate.clone().zip(self.key.clone()),
             names: self.names.clone(),
             embed_in: self.embed_in.clone(),

@@ -20,9 +20,6 @@ pub fn text(payload: &Payload) -> String {
     if let Ok(text) = payload.text() {
         return cut(text);
     }
-    if let Ok(value) = payload.value::<Value>() {
-        return cut(&value.to_string());
-    }
     let size = payload.bytes.len();
     if let Ok(shown) = payload.picture(&Limits::default()) {
         return picture(&shown, kind, size);
@@ -30,6 +27,9 @@ pub fn text(payload: &Payload) -> String {
     if let Ok(array) = payload.array(&Limits::default()) {
         let (shape, element) = (array.shape(), array.element().as_str());
         return format!("{kind}, {element} {shape:?}, {size} bytes");
+    }
+    if let Some(value) = payload.to_json(&Limits::default()) {
+        return cut(&value.to_string());
     }
     match std::str::from_utf8(&payload.bytes) {
         Ok(text) if !text.chars().any(char::is_control) => cut(text),
@@ -47,11 +47,9 @@ pub fn picture(picture: &Picture, kind: &str, size: usize) -> String {
     }
 }
 
-/// Returns a payload as JSON: its value, its text, or otherwise its bytes as `{"hex": ...}`.
+/// Returns a payload as JSON: its value, or otherwise its bytes as `{"hex": ...}`.
 pub fn json(payload: &Payload) -> Value {
-    let value = payload.value::<Value>();
-    let value = value.or_else(|_| payload.text().map(Value::from));
-    value.unwrap_or_else(|_| {
+    payload.to_json(&Limits::default()).unwrap_or_else(|| {
         let hex: String = payload
             .bytes
             .iter()
@@ -106,7 +104,10 @@ fn colour(pixel: &[u8]) -> [u8; 3] {
 
 #[cfg(test)]
 mod tests {
-    use rect::{Encoding, ToPayload};
+    use std::collections::BTreeMap;
+
+    use rect::{Cbor, Encoding, ToPayload};
+    use rect_core::codec::array::Array;
 
     use super::*;
 
@@ -122,6 +123,21 @@ mod tests {
         assert_eq!(text(&b"plain"[..].to_payload().expect("bytes")), "plain");
         let wrong = Payload::new(vec![255, 216], Encoding::JPEG);
         assert_eq!(text(&wrong), "image/jpeg, 2 bytes");
+    }
+
+    #[test]
+    fn values_that_json_cannot_express_are_rendered() {
+        let cbor = Cbor(BTreeMap::from([(1, f64::NAN)])).to_payload();
+        let cbor = cbor.expect("a payload");
+        assert_eq!(text(&cbor), r#"{"1":"NaN"}"#);
+        let array = Array::of(&[2], &[1u8, 2]).expect("an array");
+        let array = array.to_payload().expect("a payload");
+        assert_eq!(json(&array), serde_json::json!([1, 2]));
+        assert!(
+            text(&array).ends_with("u8 [2], 2 bytes"),
+            "{}",
+            text(&array)
+        );
     }
 
     #[test]

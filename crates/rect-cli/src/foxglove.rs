@@ -1,4 +1,6 @@
 //! Implements `rect foxglove`: shows messages in viewers, by the Foxglove WebSocket protocol.
+mod frames;
+mod gate;
 mod input;
 mod listener;
 mod live;
@@ -14,14 +16,24 @@ use std::{
 use clap::Args;
 use foxglove::{
     websocket::{Capability, Parameter},
-    Context, FoxgloveError, WebSocketServer,
+    Context, FoxgloveError, WebSocketServer, WebSocketServerHandle,
 };
-use rect::Pattern;
+use rect::{Pattern, Robot};
 use rect_core::registry::topics::{Topics, KEPT};
 use rect_dashboard::topics::{query, robot_topic, RobotTopic};
-use tokio::{sync::mpsc, task::JoinSet, time::interval};
+use tokio::{
+    sync::{mpsc, watch},
+    task::JoinSet,
+    time::interval,
+};
 
-use self::{input::Input, listener::Listener, live::Live, parameters::Parameters};
+use self::{
+    gate::{Gate, Inside, Rules},
+    input::Input,
+    listener::Listener,
+    live::Live,
+    parameters::Parameters,
+};
 use crate::{session::JoinArguments, Done, Failure};
 
 /// Number of messages that wait for one viewer at most. Beyond that, the oldest is dropped.
@@ -46,6 +58,13 @@ pub struct FoxgloveArguments {
     /// The address and port for viewers. Any computer that reaches it sees the messages
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8765")]
     listen: SocketAddr,
+    /// Accept viewers that use this host name, besides those of this computer; can be repeated
+    #[arg(long = "name", value_name = "HOST")]
+    names: Vec<String>,
+    /// Accept viewers that are pages of this site, such as https://example.org, besides app.foxglove.dev and pages that this
+    /// computer serves; can be repeated
+    #[arg(long = "site", value_name = "ORIGIN")]
+    sites: Vec<String>,
     /// Let viewers publish as this robot, and send messages to others on /to/<robot>/<topic>
     #[arg(long)]
     publish: bool,
@@ -64,33 +83,24 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
         false => arguments.join.join_unnamed().await?,
     };
     let (send, mut events) = mpsc::channel(EVENTS);
-    let input = arguments.publish.then(|| Input::start(&robot));
-    let mut capabilities = vec![Capability::ConnectionGraph];
-    if input.is_some() {
-        capabilities.push(Capability::ClientPublish);
-    }
-    let context = Context::new();
     let address = arguments.listen;
-    let server = WebSocketServer::new()
-        .name(format!("RECT, fleet {}", robot.fleet()))
-        .bind(address.ip().to_string(), address.port())
-        .context(&context)
-        .capabilities(capabilities)
-        .supported_encodings(["json"])
-        .services(
-            (arguments.services.iter()).map(|service| input::service(&robot, service.clone())),
-        )
-        .parameter_handler(Arc::new(Parameters::new(robot.clone())))
-        .message_backlog_size(BACKLOG)
-        .listener(Arc::new(Listener::new(send, input)))
-        .start();
-    let server = server.await.map_err(|error| match error {
-        FoxgloveError::Bind(error) => {
-            format!("cannot listen on {address}: {error}; choose another one with --listen")
-        }
-        error => error.to_string(),
+    let rules = Rules::new(&arguments.names, arguments.sites);
+    let gate = Gate::bind(address, rules).await.map_err(|error| {
+        format!("cannot listen on {address}: {error}; choose another one with --listen")
     })?;
-    let at = SocketAddr::new(address.ip(), server.port());
+    let at = gate.address()?;
+    let input = arguments.publish.then(|| Input::start(&robot));
+    let viewers = Viewers {
+        robot: robot.clone(),
+        context: Context::new(),
+        publishes: input.is_some(),
+        listener: Arc::new(Listener::new(send, input)),
+        services: arguments.services,
+    };
+    let (mut server, inside) = viewers.start().await?;
+    let (current, address) = watch::channel(inside);
+    let (ended, mut has_ended) = mpsc::channel(1);
+    tokio::spawn(gate.serve(Inside { address, ended }));
     rect_terminal::errln!(
         "rect: open ws://{at} in a viewer, as `Foxglove WebSocket`; press Ctrl-C to stop"
     );
@@ -99,13 +109,23 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
             "rect: every computer that reaches {at} sees the messages: there is no login"
         );
     }
-    let mut live = Live::new(robot.clone(), context, arguments.patterns);
+    let mut live = Live::new(robot.clone(), viewers.context.clone(), arguments.patterns);
     let mut asking = JoinSet::<Result<(Vec<(String, Topics)>, Vec<Parameter>), Failure>>::new();
     let mut tick = interval(UPDATED_EVERY);
     let mut ask_at = Instant::now();
     while !robot.is_closed() {
         tokio::select! {
             Some(event) = events.recv() => live.on_event(event),
+            Some(address) = has_ended.recv() => if address == *current.borrow() {
+                match viewers.start().await {
+                    Ok((again, address)) => {
+                        tracing::warn!("the server for viewers has ended, and was started again");
+                        std::mem::replace(&mut server, again).stop().detach_all();
+                        current.send_replace(address);
+                    }
+                    Err(error) => tracing::warn!("cannot start the server for viewers again: {error}"),
+                }
+            },
             Some(found) = asking.join_next() => match found? {
                 Ok((found, parameters)) => {
                     // The first question makes a router count messages.
@@ -134,4 +154,42 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
     }
     rect_terminal::errln!("rect: the router has ended the connection");
     Ok(ExitCode::FAILURE)
+}
+
+/// The offer of the server to viewers.
+struct Viewers {
+    robot: Robot,
+    context: Arc<Context>,
+    listener: Arc<Listener>,
+    publishes: bool,
+    services: Vec<RobotTopic>,
+}
+
+impl Viewers {
+    /// Starts the server, and returns its address, which is for the gate alone.
+    ///
+    /// # Errors
+    /// Fails if the system has no port for it.
+    async fn start(&self) -> Result<(WebSocketServerHandle, SocketAddr), FoxgloveError> {
+        let mut capabilities = vec![Capability::ConnectionGraph];
+        if self.publishes {
+            capabilities.push(Capability::ClientPublish);
+        }
+        let services = self.services.iter().cloned();
+        let address = gate::hidden_address();
+        let server = WebSocketServer::new()
+            .name(format!("RECT, fleet {}", self.robot.fleet()))
+            .bind(address.to_string(), 0)
+            .context(&self.context)
+            .capabilities(capabilities)
+            .supported_encodings(["json"])
+            .services(services.map(|service| input::service(&self.robot, service)))
+            .parameter_handler(Arc::new(Parameters::new(self.robot.clone())))
+            .message_backlog_size(BACKLOG)
+            .listener(self.listener.clone())
+            .start()
+            .await?;
+        let address = SocketAddr::new(address.into(), server.port());
+        Ok((server, address))
+    }
 }

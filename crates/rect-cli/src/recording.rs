@@ -6,6 +6,7 @@ use std::{
     io::{self, BufWriter, Write},
     path::{Path, PathBuf},
     process::ExitCode,
+    time::Duration,
 };
 
 use clap::{Args, Subcommand, ValueEnum};
@@ -13,16 +14,15 @@ use rect::Pattern;
 use rect_core::text::{display::line, humanize};
 use rect_recording::{
     export::{Exporter, Format},
-    file::About,
     merge::merge,
     pictures::Pictures,
-    Entry, ReadError, Reader, Selection, Summary,
+    Entry, Extras, Missing, ReadError, Reader, Selection, Summary,
 };
 use rect_terminal::{self as terminal, paint, Cell, Style, Table};
 
 use crate::{duration::DurationArgument, Done, Failure};
 
-/// Show, check, convert, cut and merge recordings, and fetch them from robots
+/// Show, check, convert, cut, merge and repair recordings, and fetch them from robots
 #[derive(Args)]
 pub struct RecordingArguments {
     #[command(subcommand)]
@@ -58,7 +58,7 @@ enum RecordingCommand {
         part: PartArguments,
     },
     Fetch(fetch::FetchArguments),
-    /// Write a part of a recording to a new file
+    /// Write a part of a recording to a new file, with the metadata and attachments of other programs
     Cut {
         /// The file, or the folder of an interrupted recording
         recording: PathBuf,
@@ -73,6 +73,14 @@ enum RecordingCommand {
         /// The files or folders
         #[arg(required = true)]
         recordings: Vec<PathBuf>,
+        /// The file to write
+        #[arg(short, long, value_name = "FILE")]
+        output: PathBuf,
+    },
+    /// Write everything that is whole of a damaged recording to a new file, and report what is missing
+    Recover {
+        /// The file, or the folder of an interrupted recording
+        recording: PathBuf,
         /// The file to write
         #[arg(short, long, value_name = "FILE")]
         output: PathBuf,
@@ -128,30 +136,61 @@ pub fn run(arguments: RecordingArguments) -> Done {
             output,
             part,
         } => {
-            let reader = Reader::open(&recording)?;
-            let about = about(&recording)?;
-            let selected = part.selection().of(reader);
-            written(merge(selected, &output, &about)?, &output)
+            let selected = part.selection().of(Reader::open(&recording)?);
+            let extras = Extras::of(&[recording])?;
+            written(merge(selected, &output, &extras)?, &output)
         }
         RecordingCommand::Merge { recordings, output } => {
-            let mut merged = About::new();
-            let mut readers = Vec::new();
-            for recording in &recordings {
-                merged.extend(about(recording)?);
-                readers.push(Reader::open(recording)?);
-            }
-            let entries = rect_recording::by_time(readers);
-            written(merge(entries, &output, &merged)?, &output)
+            let readers = recordings.iter().map(|recording| Reader::open(recording));
+            let entries = rect_recording::by_time(readers.collect::<Result<_, _>>()?);
+            let extras = Extras::of(&recordings)?;
+            written(merge(entries, &output, &extras)?, &output)
         }
+        RecordingCommand::Recover { recording, output } => recover(&recording, &output),
     }
 }
 
-/// Returns the description of a recording, which comes before its first message.
-fn about(recording: &Path) -> Result<About, ReadError> {
-    let mut reader = Reader::open(recording)?;
-    // Damage is reported where the messages are read.
-    let _ = reader.next();
-    Ok(reader.about().clone())
+fn recover(recording: &Path, output: &Path) -> Done {
+    let (extras, mut missing) = Extras::of_damaged(recording)?;
+    let mut reader = Reader::open_damaged(recording)?;
+    let mut entries = reader.by_ref().peekable();
+    let started = match entries.peek() {
+        Some(Ok(first)) => first.logged,
+        Some(Err(_)) => Duration::ZERO,
+        None => {
+            let name = recording.display();
+            return Err(
+                format!("no message in {name} is whole: there is nothing to recover").into(),
+            );
+        }
+    };
+    let count = merge(entries, output, &extras)?;
+    missing.extend_from_slice(reader.missing());
+    for part in &missing {
+        rect_terminal::errln!("rect: {}", missing_text(part, started));
+    }
+    written(count, output)
+}
+
+/// Describes what is missing of a recording that started at a time.
+fn missing_text(missing: &Missing, started: Duration) -> String {
+    let Missing {
+        path,
+        bytes,
+        times,
+        reason,
+    } = missing;
+    let mut text = path.display().to_string();
+    if !bytes.is_empty() {
+        let size = bytes.end - bytes.start;
+        text += &format!(": {size} bytes at byte {} are missing", bytes.start);
+    }
+    if let Some((first, last)) = times {
+        let after = |time: &Duration| time.saturating_sub(started).as_secs_f64();
+        let (first, last) = (after(first), after(last));
+        text += &format!(", with messages from {first:.1} s to {last:.1} s after the start");
+    }
+    text + ": " + reason
 }
 
 fn written(count: u64, output: &Path) -> Done {

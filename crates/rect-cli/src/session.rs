@@ -3,6 +3,7 @@ use std::path::PathBuf;
 
 use clap::Args;
 use rect::{Name, Options, Robot, Urgency};
+use rect_core::session::login::{default_file, FILE_VARIABLE};
 use serde_json::Value;
 use zenoh::query::ConsolidationMode;
 
@@ -74,6 +75,12 @@ impl JoinArguments {
             }
             Err(error) => Err(error),
         }
+    }
+
+    /// Returns the login file with which the command connects, if the router requires a login.
+    pub fn login_file(&self) -> PathBuf {
+        let default = || default_file(std::env::var(FILE_VARIABLE).ok()).into();
+        self.users.clone().unwrap_or_else(default)
     }
 
     fn options(&self, robot: &str) -> Result<Options, rect::Error> {

@@ -46,7 +46,7 @@ enum TransferCommand {
         /// The topic
         #[arg(long, default_value = "files")]
         topic: Topic,
-        /// Give up after this time without any message from the receiver [default: never]
+        /// Give up after this time without any message from the receiver, or if its program takes no transfers [default: never]
         #[arg(long)]
         timeout: Option<DurationArgument>,
         #[command(flatten)]

@@ -23,6 +23,7 @@ pub mod array;
 pub mod dictionary;
 pub mod dictionary_codec;
 pub mod jpeg;
+pub mod json;
 mod limits;
 pub mod none;
 pub mod picture;

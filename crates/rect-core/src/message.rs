@@ -8,6 +8,7 @@ pub mod gaps;
 pub mod payload;
 pub mod queue;
 pub mod request;
+pub mod sequence;
 pub mod urgency;
 
 use std::time::{Duration, Instant};
@@ -325,6 +326,47 @@ mod tests {
         let expired = on_message(4, 300, 3300).expect_err("3 s on the way");
         assert_eq!(expired, Undelivered::Expired { missed: 2 });
         assert!(on_message(5, 3290, 3300).is_ok());
+    }
+
+    /// Another program of the robot may send anything in the name of a publisher, by mistake or not: in the year 2286, or a second
+    /// ahead, and with any number.
+    #[test]
+    fn one_wrong_attachment_does_not_make_messages_expire() {
+        const SENT_MS: u64 = 1_795_000_000_000;
+        const IN_2286_MS: u64 = 9_999_999_999_999;
+        let (start, ms) = (Instant::now(), Duration::from_millis);
+        for period in [20, 100, 1000] {
+            for sequence in [0, 9, 10, 11, 500, 1 << 20, (1 << 30) + 7, 1 << 31, u32::MAX] {
+                for wrong_ms in [IN_2286_MS, SENT_MS + 10 * period + 900, SENT_MS + 90, 0] {
+                    let mut inbound = inbound();
+                    let mut on_message = |sequence, sent_ms, arrived: u64| {
+                        let attachment = Attachment {
+                            source: 7,
+                            sequence,
+                            sent: Sent::At(sent_ms),
+                            lifetime_ms: Some(200),
+                        };
+                        let attachment = attachment.encode();
+                        let delivered = delivered("rect/a/drive", Some(&attachment));
+                        inbound.on_delivery(delivered, || start + ms(arrived))
+                    };
+                    let mut expired = 0;
+                    for n in 0..700 {
+                        let at = u64::from(n) * period;
+                        let message = on_message(n, SENT_MS + at, at + 20);
+                        expired += u32::from(message.is_err());
+                        if n == 10 {
+                            drop(on_message(sequence, wrong_ms, at + 30));
+                        }
+                    }
+                    let case = format!("every {period} ms, number {sequence}, sent at {wrong_ms}");
+                    assert_eq!(expired, 0, "{case}");
+                    // The lifetime still counts.
+                    let held_up = on_message(700, SENT_MS + 700 * period, 700 * period + 5000);
+                    assert!(held_up.is_err(), "{case}");
+                }
+            }
+        }
     }
 
     #[test]

@@ -1,8 +1,8 @@
-// The connection to the program that serves the page (src/bin/rect/dashboard/protocol.rs).
+// The connection to the program that serves the page (crates/rect-dashboard/src/protocol.rs).
 
 import { canDecode } from "./video.js";
 
-const VERSION = 3;
+const VERSION = 4;
 const STATE = 1;
 /** How long nothing may arrive before the connection counts as lost. The program sends the time every 3 s. */
 const SILENT_AFTER_MS = 10_000;

@@ -20,6 +20,8 @@ const NAMES = {
   events: "Events",
 };
 
+const LOGIN_NEEDED = "To publish or change something, log in with one of the team's login file";
+
 const link = new Link();
 const content = document.getElementById("content");
 const notices = document.getElementById("notices");
@@ -63,14 +65,15 @@ function header() {
   const actions = h("div", { class: "actions" });
   const entries = Object.entries(NAMES).map(([name, text]) => h("a", { href: `#${name}` }, text));
   link.addEventListener("hello", () => {
-    const { robot, fleet: name, read_only: readOnly, login, stop, record } = link.states.hello;
+    const { robot, fleet: name, read_only: readOnly, logged_in: loggedIn, stop, record } = link.states.hello;
     setText(title, `RECT · ${name}`);
     title.title = `connected through ${robot}${readOnly ? ", read-only" : ""}`;
     actions.replaceChildren(
       ...[
         record && !readOnly && recordButton(),
         stop !== null && stopButton(link, stop),
-        login && h("form", { method: "post", action: "/logout" }, h("button", {}, "Log out")),
+        loggedIn === true && h("form", { method: "post", action: "/logout" }, h("button", {}, "Log out")),
+        loggedIn === false && h("form", { action: "/login" }, h("button", { title: LOGIN_NEEDED }, "Log in")),
       ].filter(Boolean),
     );
   });

@@ -16,6 +16,8 @@ use crate::{
 
 /// The largest number of browsers.
 const MAX_BROWSERS: usize = 16;
+/// The number of browsers that only those with a login can be.
+const RESERVED: usize = 4;
 
 /// The browsers that show the page.
 #[derive(Default)]
@@ -35,11 +37,15 @@ struct Inner {
 pub struct ShowingTopics(Arc<Browsers>);
 
 impl Browsers {
-    /// Adds a browser, which gets all states. `None`: there are too many.
-    pub fn open(&self) -> Option<Arc<Outbox>> {
+    /// Adds a browser, which gets all states. `is_reserved`: it may take a reserved place. `None`: there are too many.
+    pub fn open(&self, is_reserved: bool) -> Option<Arc<Outbox>> {
         let mut inner = self.inner();
         inner.open.retain(|outbox| outbox.strong_count() > 0);
-        if inner.open.len() >= MAX_BROWSERS {
+        let max = match is_reserved {
+            true => MAX_BROWSERS,
+            false => MAX_BROWSERS - RESERVED,
+        };
+        if inner.open.len() >= max {
             return None;
         }
         let outbox = Arc::new(Outbox::default());

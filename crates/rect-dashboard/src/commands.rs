@@ -1,5 +1,8 @@
 //! Executes the commands of the page that are answered: publish, request, connections, check, stop and record.
-use std::time::{Duration, Instant};
+use std::{
+    sync::Arc,
+    time::{Duration, Instant},
+};
 
 use rect::{Name, NamedConnection, Topic};
 use rect_core::message::payload;
@@ -7,14 +10,14 @@ use rect_recording::view;
 use serde_json::{json, Value};
 
 use crate::{
+    login::Access,
     protocol::{Command, ConnectionForm},
+    stop::Stop,
     App,
 };
 
 /// How long a service may take.
 const TIMEOUT: Duration = Duration::from_secs(5);
-/// How long robots may take to confirm a stop.
-const STOP_WITHIN: Duration = Duration::from_secs(2);
 
 type Answer = Result<Value, String>;
 
@@ -30,7 +33,8 @@ pub fn id_of(command: &Command) -> u32 {
         | Command::Connect { id, .. }
         | Command::Disconnect { id, .. }
         | Command::Check { id, .. }
-        | Command::Stop { id }
+        | Command::Stop { id, .. }
+        | Command::ClearStop { id }
         | Command::Record { id, .. } => *id,
     }
 }
@@ -39,11 +43,17 @@ pub fn id_of(command: &Command) -> u32 {
 ///
 /// # Errors
 /// Fails with what the user of the page reads.
-pub async fn execute(app: &App, command: Command) -> Answer {
+pub async fn execute(app: &App, command: Command, access: Access) -> Answer {
     // A stop is always permitted to those who see the page, because somebody may be in danger.
-    let changes_nothing = matches!(command, Command::Stop { .. } | Command::Check { .. });
-    if app.read_only && !changes_nothing {
-        return Err("this dashboard only shows: it was started with --read-only".to_owned());
+    let changes_nothing = matches!(
+        command,
+        Command::Stop { .. } | Command::ClearStop { .. } | Command::Check { .. }
+    );
+    if access < Access::Change && !changes_nothing {
+        return Err(match app.read_only {
+            true => "this dashboard only shows: it was started with --read-only".to_owned(),
+            false => "changes require a login: log in with one of the team's login file".to_owned(),
+        });
     }
     match command {
         Command::Publish {
@@ -71,7 +81,14 @@ pub async fn execute(app: &App, command: Command) -> Answer {
             let findings = app.robot.query_registry(robot, "doctor", "");
             findings.await.map_err(text)
         }
-        Command::Stop { .. } => stop(app).await,
+        Command::Stop { again, .. } => {
+            stop(app)?.press(again);
+            Ok(Value::Null)
+        }
+        Command::ClearStop { .. } => {
+            stop(app)?.clear();
+            Ok(Value::Null)
+        }
         Command::Record { on, .. } => {
             let recording = app.recording.as_ref();
             let recording =
@@ -133,36 +150,9 @@ async fn connect(app: &App, robot: &str, form: ConnectionForm) -> Answer {
     added.await.map(|()| Value::Null).map_err(text)
 }
 
-/// Asks all robots to stop, and returns each confirmation with the time it took.
-async fn stop(app: &App) -> Answer {
-    let topic = app
-        .stop
-        .clone()
-        .ok_or("start the dashboard with --stop <service> to have a stop button")?;
-    let started = Instant::now();
-    let robot = app.robot.urgent();
-    let mut replies = robot
-        .request_all(topic, "", STOP_WITHIN)
-        .await
-        .map_err(text)?;
-    let mut confirmed = Vec::new();
-    let mut problems = Vec::new();
-    while let Some(reply) = replies.next().await {
-        match reply {
-            Ok(reply) => confirmed.push(json!({
-                "robot": reply.sender.as_str(),
-                "ms": milliseconds(started),
-            })),
-            Err(error) => problems.push(error.to_string()),
-        }
-    }
-    let reachable = robot.peers().await.unwrap_or_default();
-    let reachable = reachable.iter().map(Name::as_str);
-    Ok(json!({
-        "confirmed": confirmed,
-        "reachable": reachable.collect::<Vec<_>>(),
-        "problems": problems,
-    }))
+fn stop(app: &App) -> Result<&Arc<Stop>, String> {
+    let stop = app.stop.as_ref();
+    stop.ok_or_else(|| "start the dashboard with --stop <service> to have a stop button".to_owned())
 }
 
 fn milliseconds(since: Instant) -> f64 {

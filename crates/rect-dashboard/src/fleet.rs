@@ -7,7 +7,7 @@ use std::{
 
 use rect::{Connection, ConnectionState, Event, Events, Name, Robot};
 use rect_core::registry::topics::Topics;
-use rect_recording::{entry::since_1970, report::EventReport};
+use rect_recording::report::EventReport;
 use serde_json::Value;
 use tokio::{
     task::JoinSet,
@@ -16,7 +16,8 @@ use tokio::{
 
 use crate::{
     browsers::Browsers,
-    protocol::{RobotState, ShownConnection, State, TimedEvent, TopicRow},
+    protocol::{now_ms, RobotState, ShownConnection, State, TimedEvent, TopicRow},
+    stop::Stop,
 };
 use crate::{topics, Failure};
 
@@ -69,6 +70,7 @@ struct FoundTopics {
 struct Observer {
     robot: Robot,
     browsers: Arc<Browsers>,
+    stop: Option<Arc<Stop>>,
     records: BTreeMap<Name, RobotRecord>,
     events: VecDeque<TimedEvent>,
     asking: JoinSet<Answer>,
@@ -84,12 +86,17 @@ struct Observer {
 ///
 /// # Errors
 /// Fails if the session is closed already.
-pub async fn observe(robot: Robot, browsers: Arc<Browsers>) -> Result<(), rect::Error> {
+pub async fn observe(
+    robot: Robot,
+    browsers: Arc<Browsers>,
+    stop: Option<Arc<Stop>>,
+) -> Result<(), rect::Error> {
     let events = robot.events().await?;
     let mut observer = Observer {
         records: BTreeMap::from([(robot.name().clone(), RobotRecord::default())]),
         robot,
         browsers,
+        stop,
         events: VecDeque::new(),
         asking: JoinSet::new(),
         topics: BTreeMap::new(),
@@ -126,6 +133,9 @@ impl Observer {
     }
 
     fn on_event(&mut self, event: &Event) {
+        if let Some(stop) = &self.stop {
+            stop.on_event(event);
+        }
         match event {
             Event::PeerUp { robot } => {
                 let record = self.records.entry(robot.clone()).or_default();
@@ -389,8 +399,4 @@ fn problems(record: &RobotRecord, connected: bool) -> Vec<String> {
         ));
     }
     problems
-}
-
-fn now_ms() -> u64 {
-    u64::try_from(since_1970().as_millis()).unwrap_or(u64::MAX)
 }

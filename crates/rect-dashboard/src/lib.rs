@@ -6,13 +6,16 @@ mod commands;
 mod feed;
 mod fleet;
 mod guard;
+pub mod hosts;
 mod login;
 mod outbox;
+pub mod permits;
 pub mod plot;
 mod protocol;
 mod recording;
 mod server;
 mod socket;
+mod stop;
 pub mod topics;
 
 use std::{
@@ -27,7 +30,7 @@ use tokio::{net::TcpListener, time::interval};
 
 use self::{
     browsers::Browsers, feed::Feeds, guard::Guard, login::Logins, recording::Recording,
-    server::Protection,
+    server::Protection, stop::Stop,
 };
 
 /// How often the state of a recording is shown.
@@ -49,12 +52,23 @@ pub struct Settings {
     pub read_only: bool,
     /// The file of the logins that browsers need. `None`: they need none.
     pub logins: Option<PathBuf>,
+    /// The use of the page for which browsers need a login.
+    pub login_for: LoginFor,
     /// The certificate and its private key, two files in PEM. `None`: the connections are not encrypted.
     pub certificate: Option<(PathBuf, PathBuf)>,
     /// The host names that browsers may use, besides those of this computer.
     pub names: Vec<String>,
     /// The sites whose pages may contain parts of the dashboard.
     pub embed_in: Vec<String>,
+}
+
+/// The use of the page for which browsers need a login.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LoginFor {
+    /// For everything. The login file has to exist.
+    Everything,
+    /// For changes. Without a login file, the robot's router requires no login either, and browsers need none.
+    Changes,
 }
 
 /// A dashboard that listens, and accepts no browser yet.
@@ -77,7 +91,7 @@ struct App {
     browsers: Arc<Browsers>,
     feeds: Feeds,
     recording: Option<Recording>,
-    stop: Option<Topic>,
+    stop: Option<Arc<Stop>>,
     read_only: bool,
 }
 
@@ -109,11 +123,13 @@ impl Dashboard {
         let at = self.listener.local_addr()?;
         let folder = self.settings.record.as_deref().map(writable).transpose()?;
         let is_tls = self.protection.tls.is_some();
+        let browsers = Arc::<Browsers>::default();
+        let stop = self.settings.stop;
         let app = Arc::new(App {
-            browsers: Arc::default(),
+            stop: stop.map(|service| Stop::new(robot.clone(), service, browsers.clone())),
+            browsers,
             feeds: Feeds::new(robot.clone()),
             recording: folder.map(|folder| Recording::new(robot.clone(), folder)),
-            stop: self.settings.stop,
             read_only: self.settings.read_only,
             robot,
         });
@@ -145,7 +161,13 @@ impl Serving {
     /// # Errors
     /// Fails if the session is closed already.
     pub async fn until_closed(self) -> Result<(), rect::Error> {
-        fleet::observe(self.app.robot.clone(), self.app.browsers.clone()).await
+        let App {
+            robot,
+            browsers,
+            stop,
+            ..
+        } = &*self.app;
+        fleet::observe(robot.clone(), browsers.clone(), stop.clone()).await
     }
 }
 
@@ -165,13 +187,17 @@ fn protection(settings: &Settings) -> Result<Protection, Failure> {
         Some((certificate, key)) => Some(server::tls(certificate, key)?),
         None => None,
     };
-    let logins = settings.logins.as_deref().map(Logins::read).transpose();
-    let logins = logins.map_err(|error| {
-        format!("beyond this computer, the dashboard requires a login: {error}. Name the team's login file with --logins")
-    })?;
+    let logins = match (&settings.logins, settings.login_for) {
+        (None, _) => None,
+        (Some(file), LoginFor::Changes) => Logins::read(file).ok(),
+        (Some(file), LoginFor::Everything) => Some(Logins::read(file).map_err(|error| {
+            format!("beyond this computer, the dashboard requires a login: {error}. Name the team's login file with --logins")
+        })?),
+    };
     Ok(Protection {
         guard: Guard::new(&settings.names, &settings.embed_in, tls.is_some())?,
         logins,
+        login_for: settings.login_for,
         tls,
     })
 }

@@ -1,4 +1,4 @@
-//! Decides who may see the page: checks logins, limits attempts, and keeps the sessions of browsers.
+//! Decides who may see and use the page: checks logins, limits attempts, and keeps the sessions of browsers.
 use std::{
     collections::HashMap,
     fs,
@@ -12,6 +12,8 @@ use rand::{rngs::OsRng, RngCore};
 use rect_core::session::login::logins;
 use sha2::{Digest, Sha256};
 
+use crate::permits::address_block;
+
 /// The name of the cookie that identifies a session.
 pub const COOKIE: &str = "rect_session";
 /// How long a session lasts.
@@ -20,9 +22,22 @@ pub const LASTS: Duration = Duration::from_secs(12 * 3600);
 const MAX_SESSIONS: usize = 100;
 /// The number of wrong logins that one address may try in [`WINDOW`].
 const MAX_ATTEMPTS: u32 = 8;
+/// The number of wrong logins that all addresses of a block may try together, apart from known ones.
+const MAX_ATTEMPTS_OF_BLOCK: u32 = 64;
 const WINDOW: Duration = Duration::from_secs(60);
-/// The largest number of addresses whose attempts are counted.
-const MAX_ADDRESSES: usize = 1000;
+/// The largest number of addresses and blocks whose attempts are counted. Beyond it, only known addresses may log in.
+const MAX_SOURCES: usize = 1000;
+
+/// The rights of a browser.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Access {
+    /// Nothing but log in.
+    None,
+    /// Look, and press Stop.
+    Look,
+    /// Everything.
+    Change,
+}
 
 /// The logins of the team, and the sessions of browsers.
 pub struct Logins {
@@ -33,9 +48,21 @@ pub struct Logins {
 
 #[derive(Default)]
 struct State {
-    /// The ends of the sessions, by the hashes of their tokens.
-    sessions: HashMap<[u8; 32], Instant>,
-    attempts: HashMap<IpAddr, Attempts>,
+    /// By the hashes of their tokens.
+    sessions: HashMap<[u8; 32], Session>,
+    attempts: HashMap<Source, Attempts>,
+}
+
+struct Session {
+    ends: Instant,
+    address: IpAddr,
+}
+
+/// A source of wrong logins.
+#[derive(Clone, Copy, PartialEq, Eq, Hash)]
+enum Source {
+    Address(IpAddr),
+    Block(IpAddr),
 }
 
 struct Attempts {
@@ -85,37 +112,53 @@ impl Logins {
         password: &str,
         now: Instant,
     ) -> Result<String, Refused> {
+        let from = address(from);
         let mut state = self.state();
         state
             .attempts
             .retain(|_, attempts| now.duration_since(attempts.since) < WINDOW);
-        let wrong = state
-            .attempts
-            .get(&from)
-            .map_or(0, |attempts| attempts.wrong);
-        if wrong >= MAX_ATTEMPTS || (wrong == 0 && state.attempts.len() >= MAX_ADDRESSES) {
+        // Somebody at this computer, or where somebody has logged in, is not kept out by others.
+        let is_known = from.is_loopback() || state.is_known(from, now);
+        let sources = sources(from, is_known);
+        let is_counted = state.attempts.contains_key(&Source::Address(from));
+        let has_room = is_known || is_counted || state.attempts.len() < MAX_SOURCES;
+        if !has_room
+            || sources
+                .iter()
+                .any(|(source, max)| state.wrong(source) >= *max)
+        {
             return Err(Refused::TooMany);
         }
         let hash = hash_of(user.trim(), password.trim());
         if !self.known.contains(&hash) {
-            let attempts = state.attempts.entry(from).or_insert(Attempts {
-                since: now,
-                wrong: 0,
-            });
-            attempts.wrong += 1;
+            for (source, _) in sources {
+                let attempts = state.attempts.entry(source).or_insert(Attempts {
+                    since: now,
+                    wrong: 0,
+                });
+                attempts.wrong += 1;
+            }
             return Err(Refused::Wrong);
         }
-        state.sessions.retain(|_, ends| *ends > now);
+        state.sessions.retain(|_, session| session.ends > now);
         if state.sessions.len() >= MAX_SESSIONS {
-            let first = state.sessions.iter().min_by_key(|(_, ends)| **ends);
+            let first = state
+                .sessions
+                .iter()
+                .min_by_key(|(_, session)| session.ends);
             if let Some(first) = first.map(|(token, _)| *token) {
                 state.sessions.remove(&first);
             }
         }
         let token = new_token();
+        let ends = now + LASTS;
+        let session = Session {
+            ends,
+            address: from,
+        };
         state
             .sessions
-            .insert(Sha256::digest(&token).into(), now + LASTS);
+            .insert(Sha256::digest(&token).into(), session);
         Ok(token)
     }
 
@@ -123,7 +166,13 @@ impl Logins {
     pub fn is_logged_in(&self, token: &str, now: Instant) -> bool {
         let state = self.state();
         let hash: [u8; 32] = Sha256::digest(token).into();
-        state.sessions.get(&hash).is_some_and(|ends| *ends > now)
+        let session = state.sessions.get(&hash);
+        session.is_some_and(|session| session.ends > now)
+    }
+
+    /// Returns whether a session that lasts began at that address.
+    pub fn is_known(&self, from: IpAddr, now: Instant) -> bool {
+        self.state().is_known(address(from), now)
     }
 
     /// Ends a session.
@@ -135,6 +184,37 @@ impl Logins {
     fn state(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+impl State {
+    fn is_known(&self, from: IpAddr, now: Instant) -> bool {
+        let mut sessions = self.sessions.values();
+        sessions.any(|session| session.address == from && session.ends > now)
+    }
+
+    fn wrong(&self, source: &Source) -> u32 {
+        self.attempts
+            .get(source)
+            .map_or(0, |attempts| attempts.wrong)
+    }
+}
+
+/// Returns the address whose attempts are counted: all of the loopback interface are one.
+fn address(from: IpAddr) -> IpAddr {
+    match from.to_canonical() {
+        ip if ip.is_loopback() => address_block(ip),
+        ip => ip,
+    }
+}
+
+/// Returns the sources of a wrong login, with the number of wrong ones that each may try.
+fn sources(from: IpAddr, is_known: bool) -> Vec<(Source, u32)> {
+    let mut sources = vec![(Source::Address(from), MAX_ATTEMPTS)];
+    let block = address_block(from);
+    if !is_known && block != from {
+        sources.push((Source::Block(block), MAX_ATTEMPTS_OF_BLOCK));
+    }
+    sources
 }
 
 fn hash_of(user: &str, password: &str) -> [u8; 32] {
@@ -191,6 +271,41 @@ mod tests {
         let right = |from, now| logins.log_in(from, "team", "secret secret", now);
         assert_eq!(right(HERE, now), Err(Refused::TooMany));
         assert!(right(THERE, now).is_ok() && right(HERE, now + WINDOW).is_ok());
+    }
+
+    #[test]
+    fn many_addresses_of_one_block_lock_out_only_their_block() {
+        let (logins, now) = (logins(), Instant::now());
+        let address = |number: u16| IpAddr::from([0xfd00, 0, 0, 1, 0, 0, 1, number]);
+        let right = |from| logins.log_in(from, "mentor", "other", now);
+        let known = address(0);
+        assert!(right(known).is_ok() && logins.is_known(known, now));
+        for number in 1..=2000 {
+            assert!(logins
+                .log_in(address(number), "team", "guess", now)
+                .is_err());
+        }
+        assert!(logins.state().attempts.len() < MAX_SOURCES);
+        assert_eq!(right(address(3000)), Err(Refused::TooMany));
+        assert!(right(THERE).is_ok() && right(known).is_ok());
+    }
+
+    #[test]
+    fn known_addresses_and_this_computer_can_log_in_when_too_many_others_try() {
+        let (logins, now) = (logins(), Instant::now());
+        let right = |from| logins.log_in(from, "mentor", "other", now);
+        let address =
+            |number: u16| IpAddr::from([10, 0, number.to_be_bytes()[0], number.to_be_bytes()[1]]);
+        let known = address(u16::MAX);
+        assert!(right(known).is_ok());
+        for number in 1..=2000 {
+            assert!(logins
+                .log_in(address(number), "team", "guess", now)
+                .is_err());
+        }
+        assert_eq!(logins.state().attempts.len(), MAX_SOURCES);
+        assert_eq!(right(THERE), Err(Refused::TooMany));
+        assert!(right(known).is_ok() && right(HERE).is_ok());
     }
 
     #[test]

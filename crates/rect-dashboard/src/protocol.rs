@@ -5,12 +5,12 @@
 //! JSON, and the value: JSON, or the bytes of a picture or of a frame of a video.
 use axum::body::Bytes;
 use rect::Connection;
-use rect_recording::report::EventReport;
+use rect_recording::{entry::since_1970, report::EventReport};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 /// The version of these messages. A page of another version reloads itself.
-pub const VERSION: u32 = 3;
+pub const VERSION: u32 = 4;
 /// The kind of a message that contains a [`State`].
 pub const STATE: u8 = 1;
 /// The kind of a message that contains a value of a topic.
@@ -98,8 +98,15 @@ pub enum Command {
         /// The robot.
         robot: String,
     },
-    /// Send an urgent request to the configured service of all robots.
+    /// Send an urgent request to the configured service of all robots. [`State::Stop`] has their answers.
     Stop {
+        /// The number of the answer.
+        id: u32,
+        /// Whether to ask only robots that have not confirmed the last stop.
+        again: bool,
+    },
+    /// Clear the last stop.
+    ClearStop {
         /// The number of the answer.
         id: u32,
     },
@@ -140,8 +147,8 @@ pub enum State<'a> {
         fleet: &'a str,
         /// Whether the page may only look.
         read_only: bool,
-        /// Whether there is a login, and so a logout.
-        login: bool,
+        /// Whether the browser has logged in; `None` if there are no logins.
+        logged_in: Option<bool>,
         /// The service of the Stop button.
         stop: Option<&'a str>,
         /// Whether recordings can be made.
@@ -186,6 +193,11 @@ pub enum State<'a> {
         /// Why the disk takes nothing at the moment.
         problem: Option<&'a str>,
     },
+    /// The last stop, until it is cleared.
+    Stop {
+        /// `None` if there was none, or it was cleared.
+        run: Option<StopState>,
+    },
     /// The number of values that this page has not received because it was too slow.
     Dropped {
         /// The number since the page was opened.
@@ -200,6 +212,34 @@ pub enum State<'a> {
         /// The error, with advice.
         error: Option<&'a str>,
     },
+}
+
+/// A stop, and what the robots have answered.
+#[derive(Clone, Debug, Serialize)]
+pub struct StopState {
+    /// When somebody pressed the button, in milliseconds since 1970 by this computer's clock.
+    pub at_ms: u64,
+    /// Whether the request was sent.
+    pub is_sent: bool,
+    /// Whether a service has still to answer.
+    pub is_open: bool,
+    /// Why the request was not sent, or another problem.
+    pub problem: Option<String>,
+    /// The robots, in alphabetical order.
+    pub robots: Vec<StoppedRobot>,
+}
+
+/// The answer of a robot to a stop.
+#[derive(Clone, Debug, Serialize)]
+pub struct StoppedRobot {
+    /// The robot.
+    pub robot: String,
+    /// `waiting`, `confirmed`, `failed`, `no_service`, `silent`, or `unreachable`.
+    pub outcome: &'static str,
+    /// How long the confirmation took, in milliseconds.
+    pub ms: Option<f64>,
+    /// The error with which its service has replied.
+    pub error: Option<String>,
 }
 
 /// A topic, as the router of its robot has counted it.
@@ -359,4 +399,9 @@ pub fn data(header: &DataHeader<'_>, value: &[u8]) -> Bytes {
     message.extend_from_slice(&header);
     message.extend_from_slice(value);
     message.into()
+}
+
+/// Returns the time by this computer's clock, in milliseconds since 1970.
+pub fn now_ms() -> u64 {
+    u64::try_from(since_1970().as_millis()).unwrap_or(u64::MAX)
 }

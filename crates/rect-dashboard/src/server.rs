@@ -1,8 +1,9 @@
 //! Serves the page over HTTP, with or without TLS.
 use std::{
     fs,
-    net::IpAddr,
+    net::{IpAddr, SocketAddr},
     path::Path,
+    pin::pin,
     sync::Arc,
     time::{Duration, Instant},
 };
@@ -28,23 +29,27 @@ use rustls::{
 use serde::Deserialize;
 use tokio::{
     io::{AsyncRead, AsyncWrite},
-    net::TcpListener,
-    sync::Semaphore,
+    net::{TcpListener, TcpStream},
     time::{sleep, timeout},
 };
 use tokio_rustls::TlsAcceptor;
 
 use crate::{
     guard::Guard,
-    login::{Logins, Refused, COOKIE, LASTS},
+    login::{Access, Logins, Refused, COOKIE, LASTS},
+    permits::Permits,
     protocol::MAX_COMMAND,
-    socket, App,
+    socket, App, LoginFor,
 };
 
-/// The largest number of connections.
+/// The largest number of connections, apart from WebSockets.
 const MAX_CONNECTIONS: usize = 64;
 /// How long a client may take for a handshake, and for the header of a request.
 const HEADER_WITHIN: Duration = Duration::from_secs(10);
+/// How long a connection accepts requests, unless it becomes a WebSocket.
+const ACCEPTS_FOR: Duration = Duration::from_secs(20);
+/// How long the last request of a connection may take afterwards, with its body and the answer.
+const FINISHED_WITHIN: Duration = Duration::from_secs(10);
 /// The largest form, in bytes.
 const MAX_FORM: usize = 4096;
 /// The place of a message in the login page.
@@ -65,6 +70,8 @@ pub struct Protection {
     pub guard: Guard,
     /// The logins; `None` if there is none.
     pub logins: Option<Logins>,
+    /// The use of the page that requires a login, if there are logins.
+    pub login_for: LoginFor,
     /// The encryption, if there is one.
     pub tls: Option<TlsAcceptor>,
 }
@@ -84,13 +91,13 @@ pub async fn serve(listener: TcpListener, app: Arc<App>, protection: Protection)
         .route("/", get(page))
         .route("/assets/{file}", get(asset))
         .route("/socket", get(open_socket))
-        .route("/login", post(log_in))
+        .route("/login", get(login_form).post(log_in))
         .route("/logout", post(log_out))
         .layer(axum::extract::DefaultBodyLimit::max(MAX_FORM))
         .layer(from_fn_with_state(served.clone(), protect))
-        .with_state(served);
-    let permits = Arc::new(Semaphore::new(MAX_CONNECTIONS));
-    while let Ok(permit) = permits.clone().acquire_owned().await {
+        .with_state(served.clone());
+    let permits = Permits::new(MAX_CONNECTIONS);
+    loop {
         let (stream, client) = match listener.accept().await {
             Ok(accepted) => accepted,
             Err(error) => {
@@ -100,30 +107,53 @@ pub async fn serve(listener: TcpListener, app: Arc<App>, protection: Protection)
                 continue;
             }
         };
+        let logins = served.protection.logins.as_ref();
+        let is_known = logins.is_some_and(|logins| logins.is_known(client.ip(), Instant::now()));
+        let Some(mut permit) = permits.grant(client.ip(), is_known) else {
+            continue;
+        };
         let router = router.clone().layer(Extension(Client(client.ip())));
         let tls = tls.clone();
         tokio::spawn(async move {
-            match tls {
-                None => talk(stream, router).await,
-                Some(tls) => match timeout(HEADER_WITHIN, tls.accept(stream)).await {
-                    Ok(Ok(stream)) => talk(stream, router).await,
-                    Ok(Err(error)) => tracing::debug!("no TLS with {client}: {error}"),
-                    Err(_) => tracing::debug!("no TLS with {client} in time"),
-                },
+            tokio::select! {
+                () = talk(stream, client, tls, router) => {}
+                () = permit.evicted() => tracing::debug!("{client} has made room for another connection"),
             }
-            drop(permit);
         });
     }
 }
 
-async fn talk(stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static, router: Router) {
+async fn talk(stream: TcpStream, client: SocketAddr, tls: Option<TlsAcceptor>, router: Router) {
+    match tls {
+        None => answer_requests(stream, router).await,
+        Some(tls) => match timeout(HEADER_WITHIN, tls.accept(stream)).await {
+            Ok(Ok(stream)) => answer_requests(stream, router).await,
+            Ok(Err(error)) => tracing::debug!("no TLS with {client}: {error}"),
+            Err(_) => tracing::debug!("no TLS with {client} in time"),
+        },
+    }
+}
+
+/// Answers the requests of a connection, until it becomes a WebSocket or its time has passed.
+async fn answer_requests(
+    stream: impl AsyncRead + AsyncWrite + Unpin + Send + 'static,
+    router: Router,
+) {
     let served = http1::Builder::new()
         .timer(TokioTimer::new())
         .header_read_timeout(HEADER_WITHIN)
         .serve_connection(TokioIo::new(stream), TowerToHyperService::new(router))
         .with_upgrades();
-    if let Err(error) = served.await {
-        tracing::debug!("a browser's connection has ended: {error}");
+    let mut served = pin!(served);
+    let mut done = timeout(ACCEPTS_FOR, served.as_mut()).await;
+    if done.is_err() {
+        served.as_mut().graceful_shutdown();
+        done = timeout(FINISHED_WITHIN, served).await;
+    }
+    match done {
+        Ok(Ok(())) => {}
+        Ok(Err(error)) => tracing::debug!("a browser's connection has ended: {error}"),
+        Err(_) => tracing::debug!("a browser's connection has ended: it took too long"),
     }
 }
 
@@ -173,11 +203,20 @@ async fn protect(State(served): Shared, request: Request, next: Next) -> Respons
 }
 
 impl Served {
-    fn is_logged_in(&self, headers: &HeaderMap) -> bool {
-        let Some(logins) = &self.protection.logins else {
-            return true;
-        };
-        token(headers).is_some_and(|token| logins.is_logged_in(token, Instant::now()))
+    /// Returns whether a browser has logged in. `None`: there are no logins.
+    fn is_logged_in(&self, headers: &HeaderMap) -> Option<bool> {
+        let logins = self.protection.logins.as_ref()?;
+        let is_logged_in = |token| logins.is_logged_in(token, Instant::now());
+        Some(token(headers).is_some_and(is_logged_in))
+    }
+
+    fn access(&self, headers: &HeaderMap) -> Access {
+        match (self.is_logged_in(headers), self.protection.login_for) {
+            (Some(false), LoginFor::Everything) => Access::None,
+            (Some(false), LoginFor::Changes) => Access::Look,
+            (None | Some(true), _) if self.app.read_only => Access::Look,
+            (None | Some(true), _) => Access::Change,
+        }
     }
 }
 
@@ -191,10 +230,14 @@ fn token(headers: &HeaderMap) -> Option<&str> {
 }
 
 async fn page(State(served): Shared, headers: HeaderMap) -> Response {
-    match served.is_logged_in(&headers) {
-        true => file("index.html", &headers),
-        false => login_page(StatusCode::OK, ""),
+    match served.access(&headers) {
+        Access::None => login_page(StatusCode::OK, ""),
+        Access::Look | Access::Change => file("index.html", &headers),
     }
+}
+
+async fn login_form() -> Response {
+    login_page(StatusCode::OK, "")
 }
 
 fn login_page(status: StatusCode, message: &str) -> Response {
@@ -292,16 +335,16 @@ async fn open_socket(
     headers: HeaderMap,
     upgrade: WebSocketUpgrade,
 ) -> Response {
-    if !served.is_logged_in(&headers) {
+    if served.access(&headers) == Access::None {
         return StatusCode::UNAUTHORIZED.into_response();
     }
     upgrade
         .max_message_size(MAX_COMMAND)
         .max_frame_size(MAX_COMMAND)
         .on_upgrade(async move |stream| {
-            let may_stay = || served.is_logged_in(&headers);
-            let has_login = served.protection.logins.is_some();
-            socket::run(stream, &served.app, has_login, may_stay).await;
+            let is_logged_in = served.is_logged_in(&headers);
+            let access = || served.access(&headers);
+            socket::run(stream, &served.app, is_logged_in, &access).await;
         })
 }
 

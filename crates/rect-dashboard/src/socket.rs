@@ -13,6 +13,7 @@ use crate::{
     browsers::ShowingTopics,
     commands,
     feed::FeedKey,
+    login::Access,
     outbox::Outbox,
     protocol::{self, Command, State, VERSION},
     App,
@@ -28,8 +29,10 @@ const PING_EVERY: Duration = Duration::from_secs(10);
 const STALLED_AFTER: Duration = Duration::from_secs(30);
 
 /// A browser that shows the page.
-struct Browser<'a> {
+struct Browser<'a, F> {
     app: &'a Arc<App>,
+    /// Returns what the browser may do now.
+    access: &'a F,
     outbox: Arc<Outbox>,
     watches: HashMap<u32, Watch>,
     tasks: JoinSet<()>,
@@ -43,14 +46,16 @@ struct Watch {
     asks_for_key: Arc<Notify>,
 }
 
-/// Serves a browser until it leaves. `may_stay` returns whether its login is still valid.
-pub async fn run(
+/// Serves a browser until it leaves, or may do less than at the beginning because its login has ended. `access` returns what it
+/// may do. `is_logged_in`: `None` if there are no logins.
+pub async fn run<F: Fn() -> Access>(
     mut stream: WebSocket,
     app: &Arc<App>,
-    has_login: bool,
-    may_stay: impl Fn() -> bool,
+    is_logged_in: Option<bool>,
+    access: &F,
 ) {
-    let Some(outbox) = app.browsers.open() else {
+    let at_first = access();
+    let Some(outbox) = app.browsers.open(is_logged_in != Some(false)) else {
         close(
             &mut stream,
             close_code::AGAIN,
@@ -61,13 +66,16 @@ pub async fn run(
     };
     let mut browser = Browser {
         app,
+        access,
         outbox,
         watches: HashMap::new(),
         tasks: JoinSet::new(),
         permits: Arc::new(Semaphore::new(MAX_COMMANDS)),
         showing_topics: None,
     };
-    browser.outbox.put_answer(browser.hello(has_login));
+    browser
+        .outbox
+        .put_answer(browser.hello(at_first, is_logged_in));
     let mut ping = interval(PING_EVERY);
     ping.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut answered = true;
@@ -93,7 +101,7 @@ pub async fn run(
             }
             message = browser.outbox.next() => Message::Binary(message),
             _ = ping.tick() => {
-                if !may_stay() {
+                if access() < at_first {
                     close(&mut stream, close_code::POLICY, "the login has ended").await;
                     return;
                 }
@@ -123,16 +131,16 @@ async fn close(stream: &mut WebSocket, code: u16, reason: &str) {
     let _ = timeout(Duration::from_secs(1), closed).await;
 }
 
-impl Browser<'_> {
-    fn hello(&self, has_login: bool) -> Bytes {
+impl<F: Fn() -> Access> Browser<'_, F> {
+    fn hello(&self, access: Access, is_logged_in: Option<bool>) -> Bytes {
         let app = self.app;
         protocol::state(&State::Hello {
             version: VERSION,
             robot: app.robot.name().as_str(),
             fleet: app.robot.fleet().as_str(),
-            read_only: app.read_only,
-            login: has_login,
-            stop: app.stop.as_ref().map(rect::Topic::as_str),
+            read_only: access < Access::Change,
+            logged_in: is_logged_in,
+            stop: app.stop.as_ref().map(|stop| stop.service().as_str()),
             record: app.recording.is_some(),
         })
     }
@@ -181,14 +189,14 @@ impl Browser<'_> {
 
     fn execute(&mut self, command: Command) {
         let id = commands::id_of(&command);
-        let (app, outbox) = (self.app.clone(), self.outbox.clone());
+        let (app, outbox, access) = (self.app.clone(), self.outbox.clone(), (self.access)());
         let Ok(permit) = self.permits.clone().try_acquire_owned() else {
             let problem = "too many commands at once: wait for the answers".to_owned();
             outbox.put_answer(answer(id, Err(problem)));
             return;
         };
         self.tasks.spawn(async move {
-            let result = commands::execute(&app, command).await;
+            let result = commands::execute(&app, command, access).await;
             outbox.put_answer(answer(id, result));
             drop(permit);
         });

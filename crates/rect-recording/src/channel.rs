@@ -1,21 +1,26 @@
-//! Translates between entries and the channels of MCAP: a channel has a topic, an encoding, an urgency, a recipient and a
-//! publisher.
-use std::collections::BTreeMap;
+//! Translates between entries and the channels of MCAP: a channel has a topic, an encoding, an urgency, a recipient, a publisher and a
+//! form.
+use std::{collections::BTreeMap, sync::Arc};
 
 use rect_core::message::{encoding::Encoding, urgency::Urgency};
 
 use crate::{
     entry::Entry,
     picture::{self, Kind},
+    schema::{Foreign, Schema},
+    view::JSON,
 };
 
 /// The names of MCAP for the encodings that it knows, see <https://mcap.dev/spec/registry>.
-const KNOWN: [(&str, Encoding); 2] = [("json", Encoding::JSON), ("cbor", Encoding::CBOR)];
+const KNOWN: [(&str, Encoding); 2] = [(JSON, Encoding::JSON), ("cbor", Encoding::CBOR)];
 
 const ENCODING: &str = "encoding";
 const URGENCY: &str = "urgency";
 const RECIPIENT: &str = "recipient";
 const PUBLISHER: &str = "publisher";
+const FORM: &str = "form";
+/// The value of [`FORM`] for [`Form::View`].
+const VIEW: &str = "view";
 
 /// The properties that the messages of one MCAP channel share.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
@@ -30,29 +35,43 @@ pub struct Channel {
     pub recipient: Option<String>,
     /// The number that identifies the publisher, if it uses RECT.
     pub publisher: Option<u16>,
+    /// The form of the messages.
+    pub form: Form,
+}
+
+/// The form of the messages of a channel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Form {
+    /// Payloads of an encoding that viewers do not show.
+    Payload,
+    /// Payloads that are JSON objects.
+    Object,
+    /// JSON objects that a viewer shows in place of the payloads. The payload follows each of them.
+    View,
+    /// Pictures, or frames of a video.
+    Picture(Kind),
 }
 
 impl Channel {
-    /// Returns the channel of an entry.
-    pub fn of(entry: &Entry) -> Self {
+    /// Returns the channel of an entry whose messages have this form.
+    pub fn of(entry: &Entry, form: Form) -> Self {
         Self {
             topic: entry.topic.clone(),
             encoding: entry.payload.encoding.clone(),
             urgency: entry.urgency,
             recipient: entry.recipient.clone(),
             publisher: entry.publisher,
+            form,
         }
     }
 
     /// Returns MCAP's name of the encoding.
     pub fn message_encoding(&self) -> &str {
-        if Kind::of(&self.encoding).is_some() {
-            return picture::PROTOBUF;
+        match self.form {
+            Form::Payload => self.encoding.as_str(),
+            Form::Object | Form::View => JSON,
+            Form::Picture(_) => picture::PROTOBUF,
         }
-        let known = KNOWN
-            .iter()
-            .find(|(_, encoding)| encoding == &self.encoding);
-        known.map_or(self.encoding.as_str(), |(name, _)| name)
     }
 
     /// Returns what MCAP stores beside topic and encoding.
@@ -67,32 +86,54 @@ impl Channel {
         if let Some(publisher) = self.publisher {
             metadata.insert(PUBLISHER.to_owned(), publisher.to_string());
         }
+        if self.form == Form::View {
+            metadata.insert(FORM.to_owned(), VIEW.to_owned());
+        }
         metadata
     }
 
-    /// Returns the channel that a file describes. A file of another program has only topic and encoding.
-    pub fn read(record: mcap::records::Channel) -> Self {
+    /// Returns the channel that a file describes, and the description of one that another program has recorded.
+    pub fn read(
+        record: mcap::records::Channel,
+        schema: Option<Arc<Schema>>,
+    ) -> (Self, Option<Foreign>) {
         let mut metadata = record.metadata;
-        let encoding = metadata.remove(ENCODING).unwrap_or_else(|| {
+        let (Some(encoding), Some(urgency)) = (metadata.get(ENCODING), metadata.get(URGENCY))
+        else {
             let known = KNOWN
-                .iter()
+                .into_iter()
                 .find(|(name, _)| *name == record.message_encoding);
-            known
-                .map_or(Encoding::BYTES, |(_, encoding)| encoding.clone())
-                .as_str()
-                .to_owned()
-        });
-        Self {
+            let channel = Self {
+                topic: record.topic,
+                encoding: known.map_or(Encoding::BYTES, |(_, encoding)| encoding),
+                urgency: Urgency::Normal,
+                recipient: None,
+                publisher: None,
+                form: Form::Payload,
+            };
+            let foreign = Foreign {
+                message_encoding: record.message_encoding,
+                schema,
+                metadata,
+            };
+            return (channel, Some(foreign));
+        };
+        let encoding = Encoding::new(encoding.clone());
+        let form = match metadata.get(FORM) {
+            Some(form) if form == VIEW => Form::View,
+            _ => Kind::of(&encoding).map_or(Form::Payload, Form::Picture),
+        };
+        let channel = Self {
             topic: record.topic,
-            encoding: Encoding::new(encoding),
-            urgency: metadata
-                .get(URGENCY)
-                .map_or(Urgency::Normal, |name| urgency(name)),
+            urgency: named_urgency(urgency),
             recipient: metadata.remove(RECIPIENT),
             publisher: metadata
                 .get(PUBLISHER)
                 .and_then(|number| number.parse().ok()),
-        }
+            encoding,
+            form,
+        };
+        (channel, None)
     }
 }
 
@@ -104,7 +145,7 @@ fn urgency_name(urgency: Urgency) -> &'static str {
     }
 }
 
-fn urgency(name: &str) -> Urgency {
+fn named_urgency(name: &str) -> Urgency {
     let all = [Urgency::Bulk, Urgency::Normal, Urgency::Urgent];
     let found = all
         .into_iter()

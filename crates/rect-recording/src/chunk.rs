@@ -4,17 +4,23 @@ use mcap::{records::ChunkHeader, McapError};
 /// The name of the compression that is supported besides none.
 const ZSTD: &str = "zstd";
 /// The size of a record's kind and of its length, in bytes.
-const HEAD: usize = 1 + size_of::<u64>();
+pub(super) const HEAD: usize = 1 + size_of::<u64>();
 
-/// The records of a chunk.
+/// The kind and the content of a record, and the position of the next one.
+type Found<'a> = (u8, &'a [u8], usize);
+
+/// The records of a chunk, or of messages outside of chunks.
 #[derive(Default)]
 pub(super) struct Chunk {
     records: Vec<u8>,
-    /// The position of the next record.
-    next: usize,
 }
 
 impl Chunk {
+    /// Takes records that are not compressed.
+    pub(super) fn of(records: Vec<u8>) -> Self {
+        Self { records }
+    }
+
     /// Decompresses and verifies a chunk of at most `limit` bytes.
     ///
     /// # Errors
@@ -41,15 +47,20 @@ impl Chunk {
         if saved != 0 && saved != calculated {
             return Err(McapError::BadChunkCrc { saved, calculated });
         }
-        Ok(Self { records, next: 0 })
+        Ok(Self { records })
     }
 
-    /// Returns the kind and the content of the next record; `None` after the last one.
+    /// Returns how many bytes the records have.
+    pub(super) fn bytes(&self) -> usize {
+        self.records.len()
+    }
+
+    /// Returns the record at a position; `None` after the last one.
     ///
     /// # Errors
     /// Fails if the record ends after the chunk.
-    pub(super) fn next(&mut self) -> Result<Option<(u8, &[u8])>, McapError> {
-        let rest = self.records.get(self.next..).unwrap_or_default();
+    pub(super) fn record(&self, at: usize) -> Result<Option<Found<'_>>, McapError> {
+        let rest = self.records.get(at..).unwrap_or_default();
         if rest.is_empty() {
             return Ok(None);
         }
@@ -63,8 +74,7 @@ impl Chunk {
         let length = length.ok().and_then(|length| usize::try_from(length).ok());
         let content = length.and_then(|length| rest.get(..length));
         let content = content.ok_or(McapError::UnexpectedEoc)?;
-        self.next += HEAD + content.len();
-        Ok(Some((*kind, content)))
+        Ok(Some((*kind, content, at + HEAD + content.len())))
     }
 }
 
@@ -95,13 +105,11 @@ mod tests {
         let size = records.len() as u64;
         let compressed = zstd::bulk::compress(&records, 1).expect("compressed");
         for (compression, data) in [("", &records), (ZSTD, &compressed)] {
-            let mut chunk = chunk(compression, data, size).expect("a chunk");
-            assert_eq!(
-                chunk.next().expect("whole"),
-                Some((5, b"message".as_slice()))
-            );
-            assert_eq!(chunk.next().expect("whole"), Some((5, b"".as_slice())));
-            assert_eq!(chunk.next().expect("whole"), None);
+            let chunk = chunk(compression, data, size).expect("a chunk");
+            let record = |at| chunk.record(at).expect("whole");
+            assert_eq!(record(0), Some((5, b"message".as_slice(), 16)));
+            assert_eq!(record(16), Some((5, b"".as_slice(), 25)));
+            assert_eq!(record(25), None);
         }
     }
 
@@ -126,9 +134,9 @@ mod tests {
         let mut record = record(5, b"message");
         record.pop();
         for size in 1..=record.len() {
-            let mut chunk = chunk("", &record[..size], size as u64).expect("a chunk");
+            let chunk = chunk("", &record[..size], size as u64).expect("a chunk");
             assert!(
-                matches!(chunk.next(), Err(McapError::UnexpectedEoc)),
+                matches!(chunk.record(0), Err(McapError::UnexpectedEoc)),
                 "{size}"
             );
         }

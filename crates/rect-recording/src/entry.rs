@@ -1,10 +1,15 @@
 //! Defines [`Entry`], one recorded message.
-use std::time::{Duration, SystemTime, UNIX_EPOCH};
+use std::{
+    sync::Arc,
+    time::{Duration, SystemTime, UNIX_EPOCH},
+};
 
 use rect_core::{
     message::{encoding::Encoding, payload::Payload, urgency::Urgency, Message},
     name::{key::OWN, topic::Topic, Name},
 };
+
+use crate::schema::Foreign;
 
 /// A recorded message.
 #[derive(Clone, Debug, PartialEq)]
@@ -26,6 +31,8 @@ pub struct Entry {
     pub logged: Duration,
     /// When it was sent, since 1970 by the sender's clock; [`logged`](Self::logged) if that is not known.
     pub sent: Duration,
+    /// The description of the channel that another program has recorded. `None`: a recorder of RECT has recorded the message.
+    pub foreign: Option<Arc<Foreign>>,
 }
 
 impl Entry {
@@ -40,6 +47,7 @@ impl Entry {
             publisher: message.publisher,
             logged,
             sent: message.sent_ms.map_or(logged, Duration::from_millis),
+            foreign: None,
         }
     }
 
@@ -54,6 +62,7 @@ impl Entry {
             publisher: None,
             logged,
             sent: logged,
+            foreign: None,
         }
     }
 
@@ -71,11 +80,6 @@ impl Entry {
     /// Returns about how many bytes the entry takes in memory.
     pub fn bytes(&self) -> usize {
         self.payload.bytes.len() + self.topic.len() + size_of::<Self>()
-    }
-
-    /// Returns whether the payload is JSON.
-    pub fn is_json(&self) -> bool {
-        self.payload.encoding.media_type() == Encoding::JSON.as_str()
     }
 }
 

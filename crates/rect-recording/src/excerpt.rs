@@ -140,7 +140,7 @@ impl Excerpt {
     /// # Errors
     /// Fails if it is damaged.
     pub fn decode(bytes: Vec<u8>) -> Result<(Self, About, Duration), ReadError> {
-        let mut reader = Reader::of(Path::new("the answer").to_owned(), Cursor::new(bytes));
+        let mut reader = Reader::of(Path::new("the answer").to_owned(), Cursor::new(bytes))?;
         let entries = reader.by_ref().collect::<Result<Vec<_>, _>>()?;
         let mut about = reader.about().clone();
         let until_ns = about.remove(UNTIL).and_then(|ns| ns.parse().ok());
@@ -166,6 +166,7 @@ mod tests {
             publisher: None,
             logged: Duration::from_millis(ms),
             sent: Duration::from_millis(ms),
+            foreign: None,
         }
     }
 

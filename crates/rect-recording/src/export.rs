@@ -1,9 +1,10 @@
 //! Converts a recording for other programs: lines of JSON, or a table as CSV.
 use std::io::{self, Write};
 
+use rect_core::codec::Limits;
 use serde_json::{json, Value};
 
-use crate::{entry::Entry, view::json_value};
+use crate::entry::Entry;
 
 /// The form of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -109,9 +110,12 @@ fn as_json(entry: &Entry) -> Value {
     })
 }
 
-/// Returns the value of a message as JSON. Bytes that are neither a value nor text become null.
+/// Returns the value of a message as JSON. Bytes that have no value become null.
 fn value(entry: &Entry) -> Value {
-    json_value(&entry.payload).unwrap_or(Value::Null)
+    entry
+        .payload
+        .to_json(&Limits::default())
+        .unwrap_or_default()
 }
 
 /// Returns a cell of a CSV file (RFC 4180). A text that a spreadsheet would take for a formula is marked as text.
@@ -129,10 +133,17 @@ fn cell(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use std::time::Duration;
+    use std::{collections::BTreeMap, time::Duration};
 
     use super::*;
-    use rect_core::message::{encoding::Encoding, payload::Payload, urgency::Urgency};
+    use rect_core::{
+        codec::array::Array,
+        message::{
+            encoding::Encoding,
+            payload::{Cbor, Payload, ToPayload},
+            urgency::Urgency,
+        },
+    };
 
     fn exported(format: Format, payload: Payload) -> String {
         let mut to = Vec::new();
@@ -146,6 +157,7 @@ mod tests {
             publisher: Some(1),
             logged: Duration::from_millis(1500),
             sent: Duration::from_millis(1400),
+            foreign: None,
         };
         exporter.add(&entry).expect("written");
         exporter.finish().expect("written");
@@ -167,6 +179,32 @@ mod tests {
         ];
         assert_eq!(rows, expected);
         assert!(csv.starts_with(HEADER));
+    }
+
+    #[test]
+    fn arrays_and_cbor_have_rows() {
+        let rows = |payload| {
+            let csv = exported(Format::Csv, payload);
+            let rows = csv
+                .lines()
+                .skip(1)
+                .map(|row| row.replace("1.500000,a/x,7,", ""));
+            rows.collect::<Vec<_>>()
+        };
+        let array = Array::of(&[3], &[0.5f32, f32::NAN, f32::NEG_INFINITY]).expect("an array");
+        let array = array.to_payload().expect("a payload");
+        assert_eq!(rows(array.clone()), ["0,0.5", "1,NaN", "2,-Infinity"]);
+        let numbers = BTreeMap::from([(1, 0.5), (2, f64::INFINITY)]);
+        let cbor = Cbor(numbers).to_payload().expect("a payload");
+        assert_eq!(rows(cbor.clone()), ["1,0.5", "2,Infinity"]);
+        for (payload, expected) in [
+            (array, json!([0.5, "NaN", "-Infinity"])),
+            (cbor, json!({"1": 0.5, "2": "Infinity"})),
+        ] {
+            let line = exported(Format::JsonLines, payload);
+            let read: Value = serde_json::from_str(&line).expect("JSON");
+            assert_eq!(read["value"], expected);
+        }
     }
 
     #[test]

@@ -2,19 +2,24 @@
 use std::{
     collections::{BTreeMap, HashMap},
     fs::{self, File},
-    io::{self, BufWriter, Seek, Write},
+    io::{self, BufWriter, Read, Seek, Write},
     path::{Path, PathBuf},
+    sync::Arc,
 };
 
-use mcap::{records::MessageHeader, records::Metadata, McapError, WriteOptions, Writer};
+use mcap::{
+    records::{AttachmentHeader, MessageHeader, Metadata},
+    write::PrivateRecordOptions,
+    McapError, WriteOptions, Writer,
+};
 use rect_core::name::{key::KeySpace, topic::Pattern};
-use serde_json::Value;
 
 use crate::{
-    channel::Channel,
+    channel::{Channel, Form},
     entry::Entry,
-    picture::{self, Kind},
-    schema::Schema,
+    inferred::Inferred,
+    schema::{Foreign, Schema},
+    view::{Origin, View},
 };
 
 /// The ending of a complete file.
@@ -25,7 +30,12 @@ pub const PART: &str = "part";
 pub const ABOUT: &str = "rect";
 /// The compression of chunks: the fastest levels cost little, and text shrinks to a third.
 const LEVEL: u32 = 1;
-const PROFILE: &str = "rect";
+/// MCAP's name for the conventions of this crate.
+pub const PROFILE: &str = "rect";
+/// The kind of a record that has the payload of the message before it, which is what a viewer shows. Other programs ignore it.
+pub const ORIGINAL: u8 = 0x80;
+/// How many bytes of an attachment are copied at once.
+const COPIED_BYTES: usize = 64 * 1024;
 /// How many channels a file may have. Their ids have 16 bits.
 const MAX_CHANNELS: usize = 60_000;
 
@@ -67,7 +77,20 @@ pub struct OpenFile {
 /// Writes entries in the form of MCAP.
 pub struct Encoder<W: Write + Seek> {
     writer: Writer<W>,
-    channels: HashMap<Channel, u16>,
+    channels: HashMap<Channel, Numbered>,
+    /// The channels of other programs, by the address of their descriptions.
+    foreign: HashMap<usize, (Arc<Foreign>, u16)>,
+    /// The common shape of the objects of each topic.
+    inferred: HashMap<String, Inferred>,
+    /// How many channels the file has.
+    count: usize,
+}
+
+/// The number of a channel, and the version of its schema.
+#[derive(Clone, Copy)]
+struct Numbered {
+    id: u16,
+    version: u8,
 }
 
 impl<W: Write + Seek> Encoder<W> {
@@ -76,8 +99,12 @@ impl<W: Write + Seek> Encoder<W> {
     /// # Errors
     /// Fails if it cannot be written.
     pub fn new(file: W, about: &About) -> io::Result<Self> {
+        Self::with_profile(file, PROFILE, about)
+    }
+
+    fn with_profile(file: W, profile: &str, about: &About) -> io::Result<Self> {
         let options = WriteOptions::new()
-            .profile(PROFILE)
+            .profile(profile)
             .library(concat!("rect ", env!("CARGO_PKG_VERSION")))
             .compression_level(LEVEL)
             .compression_threads(0);
@@ -85,13 +112,21 @@ impl<W: Write + Seek> Encoder<W> {
         let mut encoder = Self {
             writer,
             channels: HashMap::new(),
+            foreign: HashMap::new(),
+            inferred: HashMap::new(),
+            count: 0,
         };
-        let about = Metadata {
-            name: ABOUT.to_owned(),
-            metadata: about.clone(),
-        };
-        encoder.writer.write_metadata(&about).map_err(into_io)?;
+        if !about.is_empty() {
+            encoder.add_metadata(&Metadata {
+                name: ABOUT.to_owned(),
+                metadata: about.clone(),
+            })?;
+        }
         Ok(encoder)
+    }
+
+    fn add_metadata(&mut self, metadata: &Metadata) -> io::Result<()> {
+        self.writer.write_metadata(metadata).map_err(into_io)
     }
 
     /// Adds an entry.
@@ -99,43 +134,111 @@ impl<W: Write + Seek> Encoder<W> {
     /// # Errors
     /// Fails if the file cannot be written.
     pub fn add(&mut self, entry: &Entry) -> io::Result<()> {
-        let channel = Channel::of(entry);
-        let channel_id = match self.channels.get(&channel) {
-            Some(id) => *id,
-            None => self.add_channel(channel, entry).map_err(into_io)?,
+        self.try_add(entry).map_err(into_io)
+    }
+
+    fn try_add(&mut self, entry: &Entry) -> Result<(), McapError> {
+        let payload = &entry.payload.bytes;
+        if let Some(foreign) = &entry.foreign {
+            let id = self.foreign_channel(&entry.topic, foreign)?;
+            return self.write(id, entry, payload);
+        }
+        let view = View::of(entry);
+        let (form, message) = match &view {
+            View::Picture(kind, message) => (Form::Picture(*kind), message),
+            View::Object(Origin::Payload, text) => (Form::Object, text),
+            View::Object(Origin::Value, text) => (Form::View, text),
+            // Other programs may know the encoding.
+            View::Object(Origin::Description, _) => (Form::Payload, payload),
         };
+        let version = match form {
+            Form::Picture(_) | Form::Payload => 0,
+            Form::Object | Form::View => match self.inferred.get_mut(&entry.topic) {
+                Some(inferred) => inferred.add(message),
+                None => {
+                    let topic = entry.topic.clone();
+                    self.inferred.entry(topic).or_default().add(message)
+                }
+            },
+        };
+        let channel = Channel::of(entry, form);
+        let id = match self.channels.get(&channel) {
+            Some(known) if known.version == version => known.id,
+            _ => self.add_channel(channel, version)?,
+        };
+        self.write(id, entry, message)?;
+        if form == Form::View {
+            // In the same chunk.
+            let options = PrivateRecordOptions::IncludeInChunks;
+            self.writer
+                .write_private_record(ORIGINAL, payload, options.into())?;
+        }
+        Ok(())
+    }
+
+    fn write(&mut self, channel_id: u16, entry: &Entry, message: &[u8]) -> Result<(), McapError> {
         let header = MessageHeader {
             channel_id,
             sequence: entry.sequence,
             log_time: nanoseconds(entry.logged),
             publish_time: nanoseconds(entry.sent),
         };
-        let written = match picture::wrap(entry) {
-            Some(message) => (self.writer).write_to_known_channel(&header, &message),
-            None => (self.writer).write_to_known_channel(&header, &entry.payload.bytes),
-        };
-        written.map_err(into_io)
+        self.writer.write_to_known_channel(&header, message)
     }
 
-    fn add_channel(&mut self, channel: Channel, first: &Entry) -> Result<u16, McapError> {
-        if self.channels.len() >= MAX_CHANNELS {
+    fn add_channel(&mut self, channel: Channel, version: u8) -> Result<u16, McapError> {
+        let schema = match channel.form {
+            Form::Payload => None,
+            Form::Picture(kind) => Some(kind.schema()),
+            Form::Object | Form::View => {
+                let inferred = self.inferred.get(&channel.topic);
+                inferred.map(|inferred| inferred.schema(&channel.topic))
+            }
+        };
+        let (encoding, metadata) = (channel.message_encoding(), channel.metadata());
+        let id = self.new_channel(&channel.topic, encoding, schema.as_ref(), &metadata)?;
+        self.channels.insert(channel, Numbered { id, version });
+        Ok(id)
+    }
+
+    fn foreign_channel(&mut self, topic: &str, foreign: &Arc<Foreign>) -> Result<u16, McapError> {
+        // It remains that of this description, because the map holds it.
+        let address = Arc::as_ptr(foreign) as usize;
+        if let Some((_, id)) = self.foreign.get(&address) {
+            return Ok(*id);
+        }
+        let Foreign {
+            message_encoding,
+            schema,
+            metadata,
+        } = &**foreign;
+        let id = self.new_channel(topic, message_encoding, schema.as_deref(), metadata)?;
+        self.foreign.insert(address, (foreign.clone(), id));
+        Ok(id)
+    }
+
+    fn new_channel(
+        &mut self,
+        topic: &str,
+        encoding: &str,
+        schema: Option<&Schema>,
+        metadata: &BTreeMap<String, String>,
+    ) -> Result<u16, McapError> {
+        if self.count >= MAX_CHANNELS {
             let many = format!("the messages have more than {MAX_CHANNELS} topics and publishers");
             return Err(io::Error::other(many).into());
         }
-        let schema = match Kind::of(&channel.encoding) {
-            Some(kind) => Some(Schema::of_picture(kind)),
-            None => entry_schema(first),
-        };
+        self.count += 1;
         let schema_id = match schema {
-            Some(schema) => {
-                (self.writer).add_schema(&schema.name, schema.encoding, &schema.text)?
-            }
+            Some(Schema {
+                name,
+                encoding,
+                text,
+            }) => self.writer.add_schema(name, encoding, text)?,
             None => 0,
         };
-        let (encoding, metadata) = (channel.message_encoding(), channel.metadata());
-        let id = (self.writer).add_channel(schema_id, &channel.topic, encoding, &metadata)?;
-        self.channels.insert(channel, id);
-        Ok(id)
+        self.writer
+            .add_channel(schema_id, topic, encoding, metadata)
     }
 
     /// Completes the file, and returns what it was written to.
@@ -154,14 +257,58 @@ impl OpenFile {
     /// # Errors
     /// Fails if the file or its unfinished form exists, or cannot be written.
     pub fn create(path: PathBuf, about: &About) -> io::Result<Self> {
+        Self::with_profile(path, PROFILE, about)
+    }
+
+    /// Creates a file of another profile.
+    ///
+    /// # Errors
+    /// Fails like [`create`](Self::create).
+    pub fn with_profile(path: PathBuf, profile: &str, about: &About) -> io::Result<Self> {
         if path.exists() {
             return Err(io::ErrorKind::AlreadyExists.into());
         }
-        let file = File::create_new(part_of(&path))?;
-        Ok(Self {
-            path,
-            encoder: Encoder::new(BufWriter::new(file), about)?,
-        })
+        let part = part_of(&path);
+        let file = File::create_new(&part)?;
+        match Encoder::with_profile(BufWriter::new(file), profile, about) {
+            Ok(encoder) => Ok(Self { path, encoder }),
+            Err(error) => {
+                // Otherwise it would exist at the next attempt.
+                let _ = fs::remove_file(part);
+                Err(error)
+            }
+        }
+    }
+
+    /// Adds metadata.
+    ///
+    /// # Errors
+    /// Fails if the disk does.
+    pub fn add_metadata(&mut self, metadata: &Metadata) -> io::Result<()> {
+        self.encoder.add_metadata(metadata)
+    }
+
+    /// Adds an attachment of `size` bytes.
+    ///
+    /// # Errors
+    /// Fails if the disk does, or there are fewer bytes.
+    pub fn attach(
+        &mut self,
+        header: AttachmentHeader,
+        size: u64,
+        content: &mut impl Read,
+    ) -> io::Result<()> {
+        let writer = &mut self.encoder.writer;
+        writer.start_attachment(size, header).map_err(into_io)?;
+        let mut buffer = vec![0; COPIED_BYTES];
+        loop {
+            let read = content.read(&mut buffer)?;
+            if read == 0 {
+                return writer.finish_attachment().map_err(into_io);
+            }
+            let put = writer.put_attachment_bytes(&buffer[..read]);
+            put.map_err(into_io)?;
+        }
     }
 
     /// Adds an entry.
@@ -174,7 +321,7 @@ impl OpenFile {
 
     /// Returns the number of channels.
     pub fn channels(&self) -> usize {
-        self.encoder.channels.len()
+        self.encoder.count
     }
 
     /// Ends the chunk, so that a reader finds everything up to here if the file is never completed.
@@ -191,16 +338,22 @@ impl OpenFile {
     /// Fails if the disk does. The unfinished file is removed then.
     pub fn finish(self) -> io::Result<PathBuf> {
         let part = part_of(&self.path);
-        let finished = self.encoder.finish().and_then(|mut buffer| {
+        let renamed = self.encoder.finish().and_then(|mut buffer| {
             buffer.flush()?;
             buffer.get_ref().sync_all()?;
-            fs::rename(&part, &self.path)?;
-            sync_folder_of(&self.path)
+            fs::rename(&part, &self.path)
         });
-        if finished.is_err() {
-            // If that fails as well, the next attempt has another name, and the file can be removed by hand.
-            let _ = fs::remove_file(part);
-        }
+        let finished = match renamed {
+            // Otherwise its entries would be in it and in the next one.
+            Ok(()) => sync_folder_of(&self.path).inspect_err(|_| {
+                let _ = fs::remove_file(&self.path);
+            }),
+            Err(error) => {
+                // If that fails as well, the next attempt has another name, and the file can be removed by hand.
+                let _ = fs::remove_file(part);
+                Err(error)
+            }
+        };
         finished.map(|()| self.path)
     }
 
@@ -210,13 +363,6 @@ impl OpenFile {
         drop(self.encoder.writer.into_inner().into_parts());
         let _ = fs::remove_file(part_of(&self.path));
     }
-}
-
-fn entry_schema(entry: &Entry) -> Option<Schema> {
-    let is_json = entry.is_json();
-    let value = is_json.then(|| serde_json::from_slice(&entry.payload.bytes));
-    let value: Value = value?.ok()?;
-    Some(Schema::of_value(&entry.topic, &value))
 }
 
 /// Returns the name of the unfinished form of a file.

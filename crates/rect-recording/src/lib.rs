@@ -11,6 +11,7 @@ pub mod entry;
 pub mod excerpt;
 pub mod export;
 pub mod file;
+pub mod inferred;
 pub mod key_frames;
 pub mod merge;
 pub mod pace;
@@ -32,7 +33,7 @@ pub mod view;
 
 pub use entry::{address, Entry};
 pub use parts::Split;
-pub use reader::{ReadError, Reader};
+pub use reader::{Extras, Missing, ReadError, Reader};
 pub use recorder::{Progress, Recorder, Settings};
 pub use recorder_error::RecorderError;
 pub use replay::{by_time, Replay, Selection};

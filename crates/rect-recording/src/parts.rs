@@ -10,7 +10,7 @@ use std::{
 use crate::{
     file::{About, COMPLETE},
     merge::merge,
-    reader::{ReadError, Reader},
+    reader::{Extras, ReadError, Reader},
     recorder_error::RecorderError,
     segments::{folder_of, Segments},
 };
@@ -133,7 +133,7 @@ fn part(path: &Path, number: u32) -> PathBuf {
 fn file_of(folder: &Path, path: PathBuf, about: &About) -> Result<Option<PathBuf>, RecorderError> {
     let file = match Reader::open(folder) {
         Ok(entries) => {
-            merge(entries, &path, about)?;
+            merge(entries, &path, &Extras::from(about.clone()))?;
             Some(path)
         }
         Err(ReadError::Empty(_)) => None,

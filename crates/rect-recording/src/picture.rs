@@ -10,7 +10,7 @@ use prost_types::{
 };
 use rect_core::message::encoding::Encoding;
 
-use crate::entry::Entry;
+use crate::{entry::Entry, schema::Schema};
 
 /// MCAP's name of the encoding.
 pub const PROTOBUF: &str = "protobuf";
@@ -24,7 +24,7 @@ const FORMATS: [(Encoding, Kind, &str); 4] = [
 ];
 
 /// The two kinds of payloads that viewers show as pictures.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Kind {
     /// A picture.
     Image,
@@ -38,9 +38,13 @@ impl Kind {
         known(encoding).map(|(kind, _)| kind)
     }
 
-    /// Returns the name of the schema.
-    pub fn schema_name(self) -> String {
-        format!("foxglove.{}", self.message())
+    /// Returns the schema of the messages.
+    pub fn schema(self) -> Schema {
+        Schema {
+            name: format!("foxglove.{}", self.message()),
+            encoding: PROTOBUF.into(),
+            text: definition(self),
+        }
     }
 
     fn message(self) -> &'static str {
@@ -130,7 +134,7 @@ pub fn unwrap(kind: Kind, message: &[u8]) -> Option<Bytes> {
 }
 
 /// Returns the definition of the message, for readers that do not know it.
-pub fn schema(kind: Kind) -> Vec<u8> {
+fn definition(kind: Kind) -> Vec<u8> {
     // The two messages have the same fields, but not the same numbers.
     let [frame_id, data, format] = match kind {
         Kind::Image => [4, 2, 3],

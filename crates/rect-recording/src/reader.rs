@@ -1,33 +1,30 @@
 //! Reads recordings: a file, also of another program, or the folder of a recording that runs or was interrupted.
+mod by_time;
+mod contents;
+mod extras;
+mod input;
+mod layout;
+
 use std::{
-    collections::{HashMap, VecDeque},
+    collections::VecDeque,
     fs::{self, File},
     io::{self, Read, Seek},
     path::{Path, PathBuf},
     time::Duration,
 };
 
-use bytes::Bytes;
 use mcap::{
-    records::{op, Record},
-    sans_io::{
-        linear_reader::{LinearReadEvent, LinearReader, LinearReaderOptions},
-        summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions},
-    },
+    sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions},
     McapError,
 };
-use rect_core::message::payload::Payload;
 
+use self::{by_time::ByTime, input::Input, layout::MAX_RECORD};
 use crate::{
-    channel::Channel,
-    chunk::Chunk,
     entry::Entry,
     file::{About, ABOUT, COMPLETE, PART},
-    picture::{self, Kind},
 };
 
-/// The largest record that is read, in bytes. Recordings of RECT have chunks of about 1 MB.
-const MAX_RECORD: usize = 64 * 1024 * 1024;
+pub use self::{by_time::Missing, extras::Extras, input::Source};
 
 /// A recording cannot be read.
 #[derive(Debug, thiserror::Error)]
@@ -44,7 +41,10 @@ pub enum ReadError {
     #[error("the folder {} contains no recording (no file *.{COMPLETE})", .0.display())]
     Empty(PathBuf),
     /// The file is damaged, or is no MCAP file.
-    #[error("{} is damaged after {entries} messages: {source}", path.display())]
+    #[error(
+        "{} is damaged after {entries} messages: {source}. `rect recording recover` writes what is whole to another file",
+        path.display()
+    )]
     Damaged {
         /// The file.
         path: PathBuf,
@@ -55,28 +55,36 @@ pub enum ReadError {
     },
 }
 
-/// Reads the messages of a recording in the order in which they were recorded.
+impl ReadError {
+    fn of(path: &Path, entries: u64, source: McapError) -> Self {
+        let path = path.to_owned();
+        match source {
+            McapError::Io(source) => Self::Io { path, source },
+            source => Self::Damaged {
+                path,
+                entries,
+                source,
+            },
+        }
+    }
+}
+
+/// Reads the messages of a recording in the order in which they were recorded: that of their times, also if a file has another one.
+/// The files of a folder follow each other.
 pub struct Reader {
     /// The files that are still to be read.
     files: VecDeque<PathBuf>,
     open: Option<OpenFile>,
     about: About,
     is_complete: bool,
+    /// Whether damaged parts are skipped.
+    is_tolerant: bool,
+    missing: Vec<Missing>,
 }
 
 struct OpenFile {
     path: PathBuf,
-    file: Box<dyn Read + Send>,
-    reader: LinearReader,
-    /// The chunk whose records are being read.
-    chunk: Chunk,
-    contents: Contents,
-}
-
-/// The part of a file that has been read.
-#[derive(Default)]
-struct Contents {
-    channels: HashMap<u16, Channel>,
+    messages: ByTime,
     entries: u64,
 }
 
@@ -89,6 +97,17 @@ impl Reader {
         Ok(Self::of_files(files_of(path)?))
     }
 
+    /// Opens a recording that may be damaged, to read everything that is whole.
+    ///
+    /// # Errors
+    /// Fails if there is nothing to read.
+    pub fn open_damaged(path: &Path) -> Result<Self, ReadError> {
+        Ok(Self {
+            is_tolerant: true,
+            ..Self::open(path)?
+        })
+    }
+
     /// Reads files one after the other.
     pub fn of_files(files: Vec<PathBuf>) -> Self {
         Self {
@@ -96,17 +115,19 @@ impl Reader {
             open: None,
             about: About::new(),
             is_complete: true,
+            is_tolerant: false,
+            missing: Vec::new(),
         }
     }
 
     /// Reads a complete file from anywhere. Errors call it `path`.
-    pub fn of(path: PathBuf, file: impl Read + Send + 'static) -> Self {
-        Self {
-            files: VecDeque::new(),
-            open: Some(OpenFile::new(path, Box::new(file))),
-            about: About::new(),
-            is_complete: true,
-        }
+    ///
+    /// # Errors
+    /// Fails if it cannot be read.
+    pub fn of(path: PathBuf, file: impl Source + 'static) -> Result<Self, ReadError> {
+        let mut reader = Self::of_files(Vec::new());
+        reader.begin(path, Box::new(file))?;
+        Ok(reader)
     }
 
     /// Returns the description of the recording, if it has been read already.
@@ -119,29 +140,66 @@ impl Reader {
         self.is_complete
     }
 
+    /// Returns what could not be read of the files that have been read so far.
+    pub fn missing(&self) -> &[Missing] {
+        &self.missing
+    }
+
+    fn begin(&mut self, path: PathBuf, file: Box<dyn Source>) -> Result<(), ReadError> {
+        let messages = Input::new(file)
+            .map_err(McapError::Io)
+            .and_then(|input| ByTime::new(path.clone(), input, self.is_tolerant));
+        let (messages, metadata) = messages.map_err(|error| ReadError::of(&path, 0, error))?;
+        let about = metadata.into_iter().find(|record| record.name == ABOUT);
+        if let Some(about) = about.filter(|_| self.about.is_empty()) {
+            self.about = about.metadata;
+        }
+        self.open = Some(OpenFile {
+            path,
+            messages,
+            entries: 0,
+        });
+        Ok(())
+    }
+
     fn read(&mut self) -> Result<Option<Entry>, ReadError> {
         loop {
-            let open = match &mut self.open {
-                Some(open) => open,
-                None => match self.files.pop_front() {
-                    Some(path) => self.open.insert(OpenFile::open(path)?),
-                    None => return Ok(None),
-                },
+            let Some(open) = &mut self.open else {
+                let Some(path) = self.files.pop_front() else {
+                    return Ok(None);
+                };
+                let file = File::open(&path).map_err(|source| ReadError::Io {
+                    path: path.clone(),
+                    source,
+                })?;
+                self.begin(path, Box::new(file))?;
+                continue;
             };
-            match open.read(&mut self.about) {
-                Ok(Some(entry)) => return Ok(Some(entry)),
-                Ok(None) => self.open = None,
-                // It was not completed, and everything up to here is whole.
-                Err(ReadError::Damaged { .. }) if open.is_part() => {
-                    self.is_complete = false;
-                    self.open = None;
+            match open.messages.next() {
+                Ok(Some(entry)) => {
+                    open.entries += 1;
+                    return Ok(Some(entry));
                 }
+                Ok(None) => self.end(),
                 Err(error) => {
+                    let error = ReadError::of(&open.path, open.entries, error);
+                    let is_part = open.path.extension().is_some_and(|ending| ending == PART);
                     self.is_complete = false;
-                    self.open = None;
-                    return Err(error);
+                    self.end();
+                    // A file that was not completed is whole up to here.
+                    if !is_part || !matches!(error, ReadError::Damaged { .. }) {
+                        return Err(error);
+                    }
                 }
             }
+        }
+    }
+
+    fn end(&mut self) {
+        if let Some(open) = self.open.take() {
+            let missing = open.messages.into_missing();
+            self.is_complete &= missing.is_empty();
+            self.missing.extend(missing);
         }
     }
 }
@@ -198,186 +256,5 @@ impl Iterator for Reader {
 
     fn next(&mut self) -> Option<Self::Item> {
         self.read().transpose()
-    }
-}
-
-impl OpenFile {
-    fn open(path: PathBuf) -> Result<Self, ReadError> {
-        let file = File::open(&path).map_err(|source| ReadError::Io {
-            path: path.clone(),
-            source,
-        })?;
-        Ok(Self::new(path, Box::new(file)))
-    }
-
-    fn new(path: PathBuf, file: Box<dyn Read + Send>) -> Self {
-        let options = LinearReaderOptions::default()
-            .with_emit_chunks(true)
-            .with_record_length_limit(MAX_RECORD);
-        Self {
-            path,
-            file,
-            reader: LinearReader::new_with_options(options),
-            chunk: Chunk::default(),
-            contents: Contents::default(),
-        }
-    }
-
-    fn is_part(&self) -> bool {
-        self.path.extension().is_some_and(|ending| ending == PART)
-    }
-
-    /// Returns the next message; `None` at the end of the file.
-    fn read(&mut self, about: &mut About) -> Result<Option<Entry>, ReadError> {
-        loop {
-            match self.step(about) {
-                Ok(Step::Entry(entry)) => return Ok(Some(entry)),
-                Ok(Step::End) => return Ok(None),
-                Ok(Step::Continue) => {}
-                Err(McapError::Io(source)) => {
-                    let path = self.path.clone();
-                    return Err(ReadError::Io { path, source });
-                }
-                Err(source) => {
-                    return Err(ReadError::Damaged {
-                        path: self.path.clone(),
-                        entries: self.contents.entries,
-                        source,
-                    })
-                }
-            }
-        }
-    }
-
-    fn step(&mut self, about: &mut About) -> Result<Step, McapError> {
-        if let Some((kind, data)) = self.chunk.next()? {
-            return self.contents.on_record(kind, data, about);
-        }
-        match self.reader.next_event().transpose()? {
-            None => Ok(Step::End),
-            Some(LinearReadEvent::ReadRequest(bytes)) => {
-                let read = self.file.read(self.reader.insert(bytes))?;
-                self.reader.notify_read(read);
-                Ok(Step::Continue)
-            }
-            Some(LinearReadEvent::Record { opcode, data }) if opcode == op::CHUNK => {
-                if let Record::Chunk { header, data } = parsed(opcode, data)? {
-                    self.chunk = Chunk::read(&header, &data, MAX_RECORD)?;
-                }
-                Ok(Step::Continue)
-            }
-            Some(LinearReadEvent::Record { opcode, data }) => {
-                self.contents.on_record(opcode, data, about)
-            }
-        }
-    }
-}
-
-/// The result of reading a little.
-enum Step {
-    Entry(Entry),
-    Continue,
-    End,
-}
-
-impl Contents {
-    fn on_record(&mut self, kind: u8, data: &[u8], about: &mut About) -> Result<Step, McapError> {
-        if !matches!(kind, op::CHANNEL | op::METADATA | op::MESSAGE) {
-            return Ok(Step::Continue);
-        }
-        match parsed(kind, data)? {
-            Record::Channel(channel) => {
-                self.channels.insert(channel.id, Channel::read(channel));
-            }
-            Record::Metadata(metadata) if metadata.name == ABOUT && about.is_empty() => {
-                *about = metadata.metadata;
-            }
-            Record::Message { header, data } => {
-                let channel = self.channels.get(&header.channel_id);
-                let unknown = || McapError::UnknownChannel(header.sequence, header.channel_id);
-                let channel = channel.ok_or_else(unknown)?;
-                self.entries += 1;
-                let wrapped = Kind::of(&channel.encoding);
-                let picture = wrapped.and_then(|kind| picture::unwrap(kind, &data));
-                let bytes = picture.unwrap_or_else(|| Bytes::copy_from_slice(&data));
-                return Ok(Step::Entry(Entry {
-                    topic: channel.topic.clone(),
-                    recipient: channel.recipient.clone(),
-                    payload: Payload::new(bytes, channel.encoding.clone()),
-                    urgency: channel.urgency,
-                    sequence: header.sequence,
-                    publisher: channel.publisher,
-                    logged: Duration::from_nanos(header.log_time),
-                    sent: Duration::from_nanos(header.publish_time),
-                }));
-            }
-            _ => {}
-        }
-        Ok(Step::Continue)
-    }
-}
-
-/// Parses a record. The library's parser believes the lengths of strings, and reserves memory for them.
-fn parsed(kind: u8, data: &[u8]) -> Result<Record<'_>, McapError> {
-    if !strings_fit(kind, data) {
-        return Err(McapError::UnexpectedEoc);
-    }
-    mcap::parse_record(kind, data)
-}
-
-/// Returns whether the strings of a record are no longer than the record, since a parser would reserve memory for them.
-fn strings_fit(opcode: u8, data: &[u8]) -> bool {
-    let rest = match opcode {
-        // The numbers of the channel and its schema, the topic, and the encoding.
-        op::CHANNEL => data
-            .get(4..)
-            .and_then(without_string)
-            .and_then(without_string),
-        op::METADATA => without_string(data),
-        // The times, the size and the checksum, and the compression; then the records.
-        op::CHUNK => return data.get(28..).and_then(without_string).is_some(),
-        _ => return true,
-    };
-    // Pairs of a name and a value, after their length in bytes. The parser looks for a missing value behind them.
-    let rest = rest.and_then(|rest| rest.split_first_chunk());
-    let map = rest.and_then(|(length, rest)| rest.get(..u32::from_le_bytes(*length) as usize));
-    let Some(mut rest) = map else { return false };
-    while !rest.is_empty() {
-        match without_string(rest).and_then(without_string) {
-            Some(after) => rest = after,
-            None => return false,
-        }
-    }
-    true
-}
-
-/// Returns the bytes after a string and its length.
-fn without_string(bytes: &[u8]) -> Option<&[u8]> {
-    let (length, rest) = bytes.split_first_chunk()?;
-    rest.get(u32::from_le_bytes(*length) as usize..)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    /// Returns a metadata record without a name, whose map has that length, followed by these bytes.
-    fn metadata(length: u32, rest: &[u8]) -> Vec<u8> {
-        [[0; 4].as_slice(), &length.to_le_bytes(), rest].concat()
-    }
-
-    #[test]
-    fn a_name_without_a_value_is_refused() {
-        // Behind the map is what the parser would take for the length of a string.
-        let record = metadata(4, &[[0; 4], [0xaa; 4]].concat());
-        assert!(matches!(
-            parsed(op::METADATA, &record),
-            Err(McapError::UnexpectedEoc)
-        ));
-        let pair = metadata(8, &[0; 8]);
-        assert!(matches!(
-            parsed(op::METADATA, &pair),
-            Ok(Record::Metadata(_))
-        ));
     }
 }

@@ -193,6 +193,7 @@ mod tests {
             publisher: None,
             logged: Duration::from_millis(1_000_000 + ms),
             sent: Duration::ZERO,
+            foreign: None,
         })
     }
 

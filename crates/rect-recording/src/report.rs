@@ -2,6 +2,7 @@
 use std::time::Duration;
 
 use rect_core::{
+    codec::Limits,
     message::payload::Payload,
     name::{key::KeySpace, Name},
     registry::connection::{Connection, ConnectionState, Event, Link},
@@ -47,7 +48,7 @@ struct RequestReport<'a> {
     sender: Option<&'a str>,
     /// The topic of the service.
     topic: &'a str,
-    /// The value; `None` if it is larger than 4 kB, or neither text nor one that JSON can express.
+    /// The value; `None` if it is larger than 4 kB, or bytes of unknown meaning.
     value: Option<Value>,
     encoding: &'a str,
     /// The size of the payload.
@@ -131,7 +132,8 @@ impl Recorder {
         }
     }
 
-    /// Records a request to the service with this key, which is one of the robot of `place`.
+    /// Records a request to the service with this key, which is one of the robot of `place`. A query that is not a request is not
+    /// recorded.
     pub fn on_request(
         &self,
         place: &KeySpace,
@@ -139,13 +141,18 @@ impl Recorder {
         attachment: Option<&[u8]>,
         payload: &Payload,
     ) {
-        let sender = Requester::of(attachment).robot;
+        let Some(Requester { robot: sender, .. }) = Requester::of(key, attachment) else {
+            return;
+        };
         let is_short = payload.bytes.len() <= MAX_VALUE_BYTES;
-        let value = is_short.then(|| payload.value().or_else(|_| payload.text().map(Value::from)));
+        let limits = Limits {
+            max_bytes: MAX_VALUE_BYTES,
+            ..Limits::default()
+        };
         let report = RequestReport {
             sender: sender.as_ref().map(Name::as_str),
             topic: key.splitn(3, '/').nth(2).unwrap_or(key),
-            value: value.and_then(Result::ok),
+            value: is_short.then(|| payload.to_json(&limits)).flatten(),
             encoding: payload.encoding.as_str(),
             bytes: payload.bytes.len(),
         };

@@ -23,6 +23,8 @@ const SEGMENT_CHANNELS: usize = 10_000;
 const CHUNK: Duration = Duration::from_secs(1);
 /// The ending of the folder.
 pub const FOLDER: &str = "segments";
+/// The ending of the folder that becomes the next one.
+const NEXT: &str = "next";
 
 /// A recording that is being written.
 pub struct Segments {
@@ -90,6 +92,8 @@ impl Segments {
                 let file = match OpenFile::create(self.folder.join(name), &self.about) {
                     Ok(file) => file,
                     Err(error) => {
+                        // A file that an earlier failure has left remains, and does not end the recording.
+                        self.next += u32::from(error.kind() == io::ErrorKind::AlreadyExists);
                         self.returned.push(entry);
                         return Err(error);
                     }
@@ -198,9 +202,20 @@ impl Segments {
     /// # Errors
     /// Fails if the disk does.
     pub fn continue_elsewhere(&mut self, renamed: &Path) -> io::Result<()> {
-        fs::rename(&self.folder, renamed)?;
+        // Made first: if the disk has no room for it, the recording continues in its folder.
+        let next = self.folder.with_extension(NEXT);
+        fs::create_dir_all(&next)?;
+        let moved = fs::rename(&self.folder, renamed).and_then(|()| {
+            fs::rename(&next, &self.folder).inspect_err(|_| {
+                let _ = fs::rename(renamed, &self.folder);
+            })
+        });
+        if let Err(error) = moved {
+            let _ = fs::remove_dir(next);
+            return Err(error);
+        }
         self.complete.clear();
-        fs::create_dir(&self.folder)
+        Ok(())
     }
 
     /// Removes the unfinished file, which the disk did not take, and returns its entries.

@@ -1,81 +1,129 @@
-//! Decides what a viewer is shown of a message: pictures as such, and everything else as a JSON object.
-use rect_core::message::{encoding::Encoding, payload::Payload};
+//! Decides what a viewer is shown of a message: pictures as such, and everything else as a JSON object. Files contain messages in
+//! this form, and `rect foxglove` sends it.
+use bytes::Bytes;
+use rect_core::{
+    codec::Limits,
+    message::{encoding::Encoding, payload::Payload},
+};
+use serde::de::IgnoredAny;
 use serde_json::{json, Map, Value};
 
 use crate::{
     entry::Entry,
     picture::{self, Kind},
-    schema::Schema,
 };
 
+/// The viewers' name of the encoding of objects.
+pub const JSON: &str = "json";
 /// The field of a value that is not an object: viewers select values by the names of fields.
 const VALUE: &str = "value";
+/// The largest array that is shown, in bytes: as JSON, it takes three times as much.
+const MAX_ARRAY_BYTES: usize = 64 << 10;
 
 /// The form in which a viewer is shown a message.
 #[derive(Clone, Debug, PartialEq)]
 pub enum View {
     /// A picture or a frame of a video, in the message of that kind.
-    Picture(Kind, Vec<u8>),
-    /// A JSON object.
-    Object(Value),
+    Picture(Kind, Bytes),
+    /// The text of a JSON object.
+    Object(Origin, Bytes),
+}
+
+/// How an object was made of a payload.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Origin {
+    /// It is the payload.
+    Payload,
+    /// It contains the value of the payload.
+    Value,
+    /// It describes a payload that has no value.
+    Description,
 }
 
 impl View {
     /// Returns what is shown of a message.
     pub fn of(entry: &Entry) -> Self {
-        let kind = Kind::of(&entry.payload.encoding);
-        match kind.zip(picture::wrap(entry)) {
-            Some((kind, message)) => Self::Picture(kind, message),
-            None => Self::Object(object(&entry.payload)),
+        let payload = &entry.payload;
+        let kind = Kind::of(&payload.encoding);
+        if let Some((kind, message)) = kind.zip(picture::wrap(entry)) {
+            return Self::Picture(kind, message.into());
         }
+        if is_json(&payload.encoding) && is_object(&payload.bytes) {
+            return Self::Object(Origin::Payload, payload.bytes.clone());
+        }
+        let (origin, value) = match known_value(payload) {
+            Some(value) => (Origin::Value, wrapped(value)),
+            None => (Origin::Description, description(payload)),
+        };
+        Self::Object(origin, value.to_string().into())
     }
 
     /// Returns the viewers' name of the encoding.
     pub fn encoding(&self) -> &'static str {
         match self {
             Self::Picture(..) => picture::PROTOBUF,
-            Self::Object(_) => "json",
-        }
-    }
-
-    /// Returns a schema of messages like this one.
-    pub fn schema(&self, topic: &str) -> Schema {
-        match self {
-            Self::Picture(kind, _) => Schema::of_picture(*kind),
-            Self::Object(value) => Schema::of_value(topic, value),
+            Self::Object(..) => JSON,
         }
     }
 
     /// Returns the encoded message.
-    pub fn into_bytes(self) -> Vec<u8> {
+    pub fn message(&self) -> &Bytes {
         match self {
-            Self::Picture(_, message) => message,
-            Self::Object(value) => value.to_string().into_bytes(),
+            Self::Picture(_, message) | Self::Object(_, message) => message,
         }
     }
 }
 
-/// Returns a value or a text as JSON; `None` if the payload is neither.
-pub fn json_value(payload: &Payload) -> Option<Value> {
-    let media_type = payload.encoding.media_type();
-    if [Encoding::JSON.as_str(), Encoding::CBOR.as_str()].contains(&media_type) {
-        return payload.value().ok();
-    }
-    payload.text().ok().map(Value::from)
+fn is_json(encoding: &Encoding) -> bool {
+    ["application/json", "text/json"].contains(&encoding.media_type())
 }
 
-/// Returns a payload as JSON. Bytes that are neither a value nor text are described.
+/// Returns whether a text is a JSON object.
+fn is_object(text: &[u8]) -> bool {
+    text.trim_ascii_start().first() == Some(&b'{')
+        && serde_json::from_slice::<IgnoredAny>(text).is_ok()
+}
+
+fn known_value(payload: &Payload) -> Option<Value> {
+    let limits = Limits {
+        max_bytes: MAX_ARRAY_BYTES,
+        ..Limits::default()
+    };
+    payload.to_json(&limits)
+}
+
+fn description(payload: &Payload) -> Value {
+    json!({"bytes": payload.bytes.len(), "encoding": payload.encoding.as_str()})
+}
+
+fn wrapped(value: Value) -> Value {
+    match value {
+        Value::Object(fields) => Value::Object(fields),
+        value => json!({ VALUE: value }),
+    }
+}
+
+/// Returns a payload as JSON. Bytes that have no value are described.
 pub fn value(payload: &Payload) -> Value {
-    let description =
-        || json!({"bytes": payload.bytes.len(), "encoding": payload.encoding.as_str()});
-    json_value(payload).unwrap_or_else(description)
+    known_value(payload).unwrap_or_else(|| description(payload))
 }
 
 /// Returns a payload as an object.
 pub fn object(payload: &Payload) -> Value {
-    match value(payload) {
-        Value::Object(fields) => Value::Object(fields),
-        value => json!({ VALUE: value }),
+    wrapped(value(payload))
+}
+
+/// Returns the payload of that encoding for which a file has an object with [`Origin::Value`], and nothing else. Text comes back as
+/// it was, and other values as JSON.
+pub fn restored(encoding: &Encoding, text: &[u8]) -> Payload {
+    let Ok(payload) = payload(text) else {
+        return Payload::new(Bytes::copy_from_slice(text), encoding.clone());
+    };
+    match payload.value::<String>() {
+        Ok(text) if encoding.media_type().starts_with("text/") && !is_json(encoding) => {
+            Payload::new(text, encoding.clone())
+        }
+        _ => payload,
     }
 }
 
@@ -105,6 +153,7 @@ fn unwrapped(mut fields: Map<String, Value>) -> Value {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use rect_core::{codec::array::Array, message::payload::ToPayload};
 
     #[test]
     fn values_become_objects_and_back() {
@@ -120,6 +169,7 @@ mod tests {
             let object = object(&sent).to_string();
             assert_eq!(object, shown);
             assert_eq!(payload(object.as_bytes()).expect("JSON"), sent);
+            assert_eq!(restored(&Encoding::JSON, object.as_bytes()), sent);
         }
         assert!(payload(b"{").is_err());
     }
@@ -136,5 +186,24 @@ mod tests {
             shown(b"{not JSON", Encoding::JSON),
             json!({"bytes": 9, "encoding": Encoding::JSON.as_str()})
         );
+        // The rest of a text, behind which another program has removed the payload.
+        let text = restored(&Encoding::TEXT, br#"{"value":"hello"}"#);
+        assert_eq!(text, Payload::new("hello", Encoding::TEXT));
+        let numbers = restored(&Encoding::CBOR, br#"{"value":[1]}"#);
+        assert_eq!(numbers, Payload::new("[1]", Encoding::JSON));
+    }
+
+    #[test]
+    fn large_arrays_are_described() {
+        let array = |count: usize| {
+            let array = Array::of(&[count], &vec![1u8; count]).expect("an array");
+            object(&array.to_payload().expect("a payload"))
+        };
+        let shown = array(MAX_ARRAY_BYTES);
+        assert_eq!(
+            shown["value"].as_array().map(Vec::len),
+            Some(MAX_ARRAY_BYTES)
+        );
+        assert_eq!(array(MAX_ARRAY_BYTES + 1)["bytes"], MAX_ARRAY_BYTES + 1);
     }
 }

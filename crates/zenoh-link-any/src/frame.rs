@@ -139,13 +139,14 @@ pub fn truncated(position: u64) -> u32 {
 
 const OFFSET_SPAN: u64 = 1 << OFFSET_BITS;
 
-/// Returns the position with these lower bits that is nearest to `expected`.
-pub fn nearest(offset: u32, expected: u64) -> u64 {
+/// Returns the position with these lower bits that is nearest to `expected`, or `None` if it is before the beginning of the
+/// stream.
+pub fn nearest(offset: u32, expected: u64) -> Option<u64> {
     let distance = (u64::from(offset).wrapping_sub(expected)) & (OFFSET_SPAN - 1);
     if distance < OFFSET_SPAN / 2 {
-        return expected + distance;
+        return Some(expected + distance);
     }
-    (expected + distance).saturating_sub(OFFSET_SPAN)
+    (expected + distance).checked_sub(OFFSET_SPAN)
 }
 
 #[cfg(test)]
@@ -203,10 +204,10 @@ mod tests {
         for expected in [0, 5, OFFSET_SPAN - 3, OFFSET_SPAN, 7 * OFFSET_SPAN + 9] {
             for distance in [0, 1, 500_000, OFFSET_SPAN / 2 - 1] {
                 let later = expected + distance;
-                assert_eq!(nearest(truncated(later), expected), later);
-                if let Some(earlier) = expected.checked_sub(distance) {
-                    assert_eq!(nearest(truncated(earlier), expected), earlier);
-                }
+                assert_eq!(nearest(truncated(later), expected), Some(later));
+                let earlier = expected.wrapping_sub(distance);
+                let exists = (distance <= expected).then_some(earlier);
+                assert_eq!(nearest(truncated(earlier), expected), exists);
             }
         }
     }

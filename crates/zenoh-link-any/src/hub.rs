@@ -110,9 +110,11 @@ impl Hub {
         links.len() >= MAX_LINKS && links.iter().all(|link| link.peer != peer)
     }
 
-    /// Returns the link with a peer. A peer that was restarted is another node: its link has ended.
+    /// Returns the link with a peer that the peer has, too. A peer that was restarted is another node, and one that has lost the link
+    /// sends nothing on it: a new link then replaces this one.
     fn existing(&self, peer: &str, node: NodeId) -> Option<Arc<Shared>> {
-        self.link_with(peer).filter(|link| link.node == node)
+        self.link_with(peer)
+            .filter(|link| link.node == node && link.is_shared())
     }
 
     /// Opens a link with a peer: at its address if one is given, and otherwise or if that fails over Bluetooth.
@@ -217,9 +219,10 @@ impl Hub {
         Ok(link)
     }
 
-    /// Ends the link with a peer that opens a new one.
-    fn replace(&self, peer: &str) {
-        if let Some(old) = self.link_with(peer) {
+    /// Ends the earlier links with a peer that has opened a new one.
+    fn replace_by(&self, new: &Shared) {
+        let links = self.links().into_iter();
+        for old in links.filter(|link| link.peer == new.peer && link.id != new.id) {
             old.fail(AnyError::Replaced(old.peer.clone()));
         }
     }
@@ -375,8 +378,8 @@ impl AcceptPaths for Hub {
             // Its tasks end, and the peer opens a new link.
             _ if joins => {}
             _ => {
-                self.replace(path.peer());
                 let shared = self.add_link_of(&path, id, Role::Acceptor);
+                self.replace_by(&shared);
                 let link = match self.start_on_bluetooth(&shared, path) {
                     Ok(link) => link,
                     Err(error) => return tracing::warn!("any: {error}"),

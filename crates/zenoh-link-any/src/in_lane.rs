@@ -29,6 +29,9 @@ pub enum LaneError {
     /// The bytes are far beyond those that have arrived.
     #[error("bytes from position {0}, far beyond those that have arrived")]
     TooEarly(u64),
+    /// The bytes are from before the beginning of the stream.
+    #[error("bytes from before the beginning of the lane")]
+    BeforeStart,
     /// Two paths have brought different bytes for the same position.
     #[error("two paths have brought different bytes for position {0}")]
     Contradiction(u64),
@@ -62,7 +65,7 @@ impl InLane {
         mut bytes: &[u8],
         max_batch: usize,
     ) -> Result<bool, LaneError> {
-        let mut at = nearest(offset, self.next);
+        let mut at = nearest(offset, self.next).ok_or(LaneError::BeforeStart)?;
         let end = at + bytes.len() as u64;
         if end > self.next + MAX_EARLY_BYTES {
             return Err(LaneError::TooEarly(at));
@@ -283,6 +286,11 @@ mod tests {
         assert_eq!(
             lane.on_bytes(far, b"x", MAX_BATCH),
             Err(LaneError::TooEarly(MAX_EARLY_BYTES))
+        );
+        let before = truncated(0_u64.wrapping_sub(3));
+        assert_eq!(
+            lane.on_bytes(before, b"three and more", MAX_BATCH),
+            Err(LaneError::BeforeStart)
         );
         lane.on_bytes(10, b"early", MAX_BATCH).expect("valid");
         assert_eq!(

@@ -27,6 +27,8 @@ pub mod rtt;
 mod run;
 mod shared;
 pub mod status;
+#[cfg(test)]
+mod vectors;
 pub mod wifi;
 
 pub use error::AnyError;

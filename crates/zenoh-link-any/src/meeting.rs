@@ -5,8 +5,10 @@
 use std::io;
 
 use link_lanes::{
+    first_message::{decide, decide_sealed, FirstMessage, Rejection},
     hello::{HandshakeMessage, Hello, Key, Refusal, MAX_SIZE, VERSION},
     key_agreement::{respond, Exporter, Initiator},
+    seal::LinkKeys,
     sealed_message,
     secret::Secret,
 };
@@ -68,7 +70,7 @@ pub async fn dial(
     stream.write_all(&MAGIC).await?;
     send(stream, &key.encode()).await?;
     let answer = match receive(stream).await.and_then(|bytes| decode(&bytes))? {
-        HandshakeMessage::KeyAnswer(answer) => answer,
+        HandshakeMessage::KeyAnswer(answer) if answer.version == VERSION => answer,
         other => return Err(unexpected(other)),
     };
     let agreed = initiator.finish(&answer.message);
@@ -78,36 +80,37 @@ pub async fn dial(
     send(stream, &sealed_message::seal(&mut keys, &hello)).await?;
     let mut sealed = receive(stream).await?;
     match sealed_message::open(&mut keys, &mut sealed).map_err(protocol)? {
-        HandshakeMessage::Accept(peer) if peer.path.is_some() => Ok(Met {
-            peer,
-            exporter: agreed.exporter,
-        }),
+        HandshakeMessage::Accept(peer) if peer.version == VERSION && peer.path.is_some() => {
+            Ok(Met {
+                peer,
+                exporter: agreed.exporter,
+            })
+        }
         other => Err(unexpected(other)),
     }
 }
 
-/// Opens a link as the listener of the connection, which has begun with [`MAGIC`]. `decide` returns this side's answer.
+/// Opens a link as the listener of the connection, which has begun with [`MAGIC`]. `accepts` returns this side's answer. A
+/// listener without a secret refuses.
 ///
 /// # Errors
 /// Fails as [`dial`] does, or if this side refuses.
 pub async fn accept(
     stream: &mut (impl AsyncRead + AsyncWrite + Unpin),
-    secret: &Secret,
-    decide: impl FnOnce(&Hello) -> Result<Hello, Refusal>,
+    secret: Option<&Secret>,
+    accepts: impl FnOnce(&Hello) -> Result<Hello, Refusal>,
 ) -> Result<Met, MeetingError> {
     let bytes = receive(stream).await?;
-    let key = match HandshakeMessage::decode(&bytes) {
-        Ok(HandshakeMessage::Key(key)) => key,
-        Ok(other) => return Err(unexpected(other)),
-        Err(error) => {
-            if let Some(refusal) = error.refusal(&bytes) {
-                send(stream, &HandshakeMessage::Refuse(refusal).encode()).await?;
-            }
-            return Err(protocol(error));
-        }
+    let (key, secret) = match decide(&bytes, secret) {
+        Ok(FirstMessage::Key(key, secret)) => (key, secret),
+        // A link without a secret begins only on Bluetooth.
+        Ok(_) => return reject(stream, None, Rejection::NoSharedSecret).await,
+        Err(rejection) => return reject(stream, None, rejection).await,
     };
-    let answered = respond(secret, &header(key.version), &key.message);
-    let (message, agreed) = answered.map_err(protocol)?;
+    let (message, agreed) = match respond(secret, &header(key.version), &key.message) {
+        Ok(answered) => answered,
+        Err(error) => return reject(stream, None, error.into()).await,
+    };
     let version = VERSION;
     let answer = HandshakeMessage::KeyAnswer(Key { version, message });
     send(stream, &answer.encode()).await?;
@@ -119,12 +122,14 @@ pub async fn accept(
         }
         other => other,
     })?;
-    let opened = sealed_message::open(&mut keys, &mut sealed);
-    let peer = match opened.map_err(protocol)? {
-        HandshakeMessage::Hello(hello) => hello,
-        other => return Err(unexpected(other)),
+    let peer = match decide_sealed(&mut keys, &mut sealed) {
+        Ok(hello) => hello,
+        Err(rejection) => {
+            let keys = rejection.is_sealed().then_some(&mut keys);
+            return reject(stream, keys, rejection).await;
+        }
     };
-    let decided = decide(&peer);
+    let decided = accepts(&peer);
     let answer = match &decided {
         Ok(own) => HandshakeMessage::Accept(own.clone()),
         Err(refusal) => HandshakeMessage::Refuse(*refusal),
@@ -134,6 +139,26 @@ pub async fn accept(
     Ok(Met {
         peer,
         exporter: agreed.exporter,
+    })
+}
+
+/// Refuses the dialler, unless its message is not answered, and returns the reason as an error.
+async fn reject<T>(
+    stream: &mut (impl AsyncWrite + Unpin),
+    keys: Option<&mut LinkKeys>,
+    rejection: Rejection,
+) -> Result<T, MeetingError> {
+    if let Some(refusal) = rejection.refusal() {
+        let refuse = HandshakeMessage::Refuse(refusal);
+        let message = match keys {
+            Some(keys) => sealed_message::seal(keys, &refuse),
+            None => refuse.encode(),
+        };
+        send(stream, &message).await?;
+    }
+    Err(match rejection {
+        Rejection::NoSharedSecret | Rejection::RefusedByDialler => MeetingError::NoSharedSecret,
+        other => protocol(other),
     })
 }
 
@@ -209,7 +234,7 @@ mod tests {
         let mut magic = [0; MAGIC.len()];
         stream.read_exact(&mut magic).await?;
         assert_eq!(magic, MAGIC);
-        accept(&mut stream, &secret(word), |_| decision).await
+        accept(&mut stream, Some(&secret(word)), |_| decision).await
     }
 
     async fn meeting(
@@ -259,6 +284,50 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn dialler_without_a_valid_key_is_refused_with_the_reason() {
+        let own = secret("one");
+        let (_, mut message) = Initiator::start(&own, &header(VERSION)).expect("starts");
+        message[47] ^= 1;
+        let key = |version| HandshakeMessage::Key(Key { version, message }).encode();
+        let hello_without_key = HandshakeMessage::Hello(hello("wombat-1")).encode();
+        for (secret, first, refusal) in [
+            (Some(&own), key(VERSION), Refusal::Malformed),
+            (Some(&own), key(VERSION - 1), Refusal::Version),
+            (Some(&own), hello_without_key, Refusal::Secret),
+            (None, key(VERSION), Refusal::Secret),
+        ] {
+            let (mut near, mut far) = duplex(1000);
+            send(&mut near, &first).await.expect("sends");
+            let met = accept(&mut far, secret, |_| Ok(hello("wombat-2"))).await;
+            assert!(met.is_err(), "{refusal:?}");
+            let answer = receive(&mut near).await.expect("an answer");
+            let answer = decode(&answer).expect("a message of the handshake");
+            assert_eq!(answer, HandshakeMessage::Refuse(refusal));
+        }
+    }
+
+    #[tokio::test]
+    async fn dialler_accepts_no_other_version_than_it_has_offered() {
+        let own = &secret("one");
+        let (mut near, mut far) = duplex(1000);
+        let listening = async move {
+            far.read_exact(&mut [0; MAGIC.len()]).await.expect("reads");
+            let key = receive(&mut far).await.and_then(|bytes| decode(&bytes));
+            let Ok(HandshakeMessage::Key(key)) = key else {
+                panic!("{key:?}");
+            };
+            let answered = respond(own, &header(VERSION), &key.message);
+            let (message, _) = answered.expect("answers");
+            let version = VERSION + 1;
+            let answer = HandshakeMessage::KeyAnswer(Key { version, message });
+            send(&mut far, &answer.encode()).await.expect("sends");
+        };
+        let dialling = dial(&mut near, own, hello("wombat-1"));
+        let (met, ()) = tokio::join!(dialling, listening);
+        assert!(matches!(met, Err(MeetingError::Protocol(_))));
+    }
+
+    #[tokio::test]
     async fn other_bytes_end_the_connection() {
         for bytes in [
             &[0xff, 0xff][..],
@@ -269,7 +338,7 @@ mod tests {
             let (mut near, mut far) = duplex(1000);
             near.write_all(bytes).await.expect("writes");
             drop(near);
-            let met = accept(&mut far, &secret("one"), |_| Ok(hello("wombat-2"))).await;
+            let met = accept(&mut far, Some(&secret("one")), |_| Ok(hello("wombat-2"))).await;
             assert!(met.is_err(), "{bytes:?}");
         }
     }

@@ -26,7 +26,7 @@ use crate::{
     frame::{self, Frame, DATA_HEAD_BYTES},
     in_lane::InLane,
     out_lane::OutLane,
-    path::{Medium, Path},
+    path::{Medium, Path, PathState},
 };
 
 pub use crate::out_lane::LaneReport;
@@ -49,6 +49,8 @@ const COMPARED_BYTES: usize = 16_384;
 const BETTER: f64 = 0.7;
 /// How long it has to be better.
 const BETTER_FOR: Duration = Duration::from_millis(300);
+/// How long nothing may arrive from a peer that has the link: longer than the time between two of Zenoh's keep-alives, 2.5 s.
+const SILENCE: Duration = Duration::from_secs(3);
 /// The largest backlog of a lane, in bytes. More would occupy memory without making a fast network faster.
 const MAX_BACKLOG_BYTES: usize = 2_500_000;
 
@@ -95,6 +97,8 @@ pub struct Multipath {
     peer_change: u8,
     /// Since when no path works.
     silent_since: Option<Instant>,
+    /// When a frame arrived for the last time.
+    received_at: Instant,
     /// The code of the reason with which this side ends the link.
     closing: Option<u8>,
     end: Option<End>,
@@ -122,6 +126,7 @@ impl Multipath {
             change: 0,
             peer_change: 0,
             silent_since: Some(now),
+            received_at: now,
             closing: None,
             end: None,
             switches: 0,
@@ -214,6 +219,7 @@ impl Multipath {
         let Some(path) = self.paths.get_mut(&id) else {
             return Ok(Change::Nothing);
         };
+        self.received_at = now;
         match frame::decode(bytes)? {
             Frame::Data {
                 lane,
@@ -374,13 +380,11 @@ impl Multipath {
 
     /// Handles the time: paths whose acknowledgements are missing, and the end of the lease.
     pub fn on_time(&mut self, now: Instant) {
-        let late: Vec<_> = self
-            .paths
-            .iter_mut()
-            .filter(|(_, path)| path.suspect_at().is_some_and(|at| at <= now))
-            .flat_map(|(_, path)| path.suspect(now))
-            .collect();
-        self.resend(late);
+        for path in self.paths.values_mut() {
+            if path.suspect_at().is_some_and(|at| at <= now) {
+                path.suspect(now);
+            }
+        }
         let primary = self.primary;
         let others = self
             .paths
@@ -431,6 +435,11 @@ impl Multipath {
     /// Returns why the link has ended.
     pub fn end(&self) -> Option<End> {
         self.end
+    }
+
+    /// Returns whether the peer evidently has the link, too: a path works, and something has arrived recently.
+    pub fn is_shared(&self, now: Instant) -> bool {
+        self.paths.values().any(Path::is_live) && now < self.received_at + SILENCE
     }
 
     /// Returns the paths.
@@ -519,6 +528,15 @@ impl Multipath {
             for path in self.paths.values_mut().filter(|path| path.has_answered()) {
                 path.recover();
             }
+        }
+        if self.paths.values().any(Path::is_live) {
+            // Without another path, nothing is sent again: a path delivers what it carries while it exists.
+            let suspected = self
+                .paths
+                .values_mut()
+                .filter(|path| path.state() == PathState::Suspected);
+            let late = suspected.flat_map(Path::give_up).collect();
+            self.resend(late);
         }
         let live = self.paths.iter().filter(|(_, path)| path.is_live());
         for (_, path) in live.clone() {

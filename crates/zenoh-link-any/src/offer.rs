@@ -39,18 +39,19 @@ pub fn encode(port: u16, addresses: &[IpAddr]) -> Vec<u8> {
     body
 }
 
-/// Decodes an untrusted offer.
+/// Decodes an untrusted offer. Returns each address once, and none if the sender does not listen.
 ///
 /// # Errors
 /// Fails if the offer does not have the layout of the protocol.
 pub fn decode(body: &[u8]) -> Result<Vec<SocketAddr>, OfferError> {
     let (port, mut rest) = body.split_first_chunk().ok_or(OfferError::Length)?;
     let port = u16::from_le_bytes(*port);
-    let mut addresses = Vec::new();
+    let (mut addresses, mut count) = (Vec::new(), 0);
     while let Some((kind, body)) = rest.split_first() {
-        if addresses.len() == MAX_ADDRESSES {
+        if count == MAX_ADDRESSES {
             return Err(OfferError::TooMany);
         }
+        count += 1;
         let address: IpAddr = match *kind {
             IPV4 => {
                 let (octets, after) = body.split_first_chunk::<4>().ok_or(OfferError::Length)?;
@@ -64,7 +65,10 @@ pub fn decode(body: &[u8]) -> Result<Vec<SocketAddr>, OfferError> {
             }
             kind => return Err(OfferError::Kind(kind)),
         };
-        addresses.push(SocketAddr::new(address, port));
+        let address = SocketAddr::new(address, port);
+        if port != 0 && !addresses.contains(&address) {
+            addresses.push(address);
+        }
     }
     Ok(addresses)
 }
@@ -86,6 +90,15 @@ mod tests {
                 .collect();
             assert_eq!(decode(&body), Ok(expected));
         }
+    }
+
+    #[test]
+    fn repeated_address_counts_once_and_port_0_is_none() {
+        let address: IpAddr = "192.168.7.2".parse().expect("an address");
+        let offered = [address; MAX_ADDRESSES];
+        let expected = vec![SocketAddr::new(address, 7460)];
+        assert_eq!(decode(&encode(7460, &offered)), Ok(expected));
+        assert_eq!(decode(&encode(0, &offered)), Ok(Vec::new()));
     }
 
     #[test]

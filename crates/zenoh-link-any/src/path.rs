@@ -303,8 +303,8 @@ impl Path {
         Some(oldest.at.max(self.last_ack))
     }
 
-    /// Suspects the path, and returns what another path has to carry.
-    pub(crate) fn suspect(&mut self, now: Instant) -> Vec<(Lane, Range<u64>)> {
+    /// Suspects the path.
+    pub(crate) fn suspect(&mut self, now: Instant) {
         self.state = PathState::Suspected;
         // The rate from before does not hold afterwards.
         self.estimate = Estimate::default();
@@ -312,7 +312,6 @@ impl Path {
         self.ping_interval = PING_INTERVAL;
         self.ping_at = Some(now);
         self.copies.clear();
-        self.give_up()
     }
 
     /// Returns what was sent and not acknowledged, unless it was returned before.

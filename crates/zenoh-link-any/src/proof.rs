@@ -66,7 +66,15 @@ impl Proof {
 
     /// Begins as the dialler of a connection, and returns its first message.
     pub(crate) fn open(&self) -> Result<(Opening, Vec<u8>), NotProven> {
-        let builder = builder(self.role, &self.key).ok_or(NotProven)?;
+        self.open_with(None)
+    }
+
+    /// Begins with a given ephemeral key, for the test vectors.
+    pub(crate) fn open_with(
+        &self,
+        ephemeral: Option<&[u8; 32]>,
+    ) -> Result<(Opening, Vec<u8>), NotProven> {
+        let builder = builder(self.role, &self.key, ephemeral).ok_or(NotProven)?;
         let mut state = builder.build_initiator().map_err(|_| NotProven)?;
         let mut message = [0; MESSAGE_BYTES];
         state
@@ -80,7 +88,16 @@ impl Proof {
         &self,
         opening: &[u8; OPENING_BYTES],
     ) -> Result<([u8; MESSAGE_BYTES], StatelessTransportState), NotProven> {
-        let builder = builder(self.role.other(), &self.key).ok_or(NotProven)?;
+        self.answer_with(opening, None)
+    }
+
+    /// Answers with a given ephemeral key, for the test vectors.
+    pub(crate) fn answer_with(
+        &self,
+        opening: &[u8; OPENING_BYTES],
+        ephemeral: Option<&[u8; 32]>,
+    ) -> Result<([u8; MESSAGE_BYTES], StatelessTransportState), NotProven> {
+        let builder = builder(self.role.other(), &self.key, ephemeral).ok_or(NotProven)?;
         let mut state = builder.build_responder().map_err(|_| NotProven)?;
         let message = &opening[MAGIC.len() + TAG_BYTES..];
         state
@@ -117,14 +134,22 @@ pub(crate) fn tag_of(opening: &[u8; OPENING_BYTES]) -> Option<Tag> {
     rest.first_chunk().copied()
 }
 
-fn builder(dialler: Role, key: &[u8; 32]) -> Option<Builder<'_>> {
+fn builder<'a>(
+    dialler: Role,
+    key: &'a [u8; 32],
+    ephemeral: Option<&'a [u8; 32]>,
+) -> Option<Builder<'a>> {
     let params: NoiseParams = PROTOCOL.parse().ok()?;
     let prologue: &[u8] = match dialler {
         Role::Opener => b"RECT any 1 opener",
         Role::Acceptor => b"RECT any 1 acceptor",
     };
     let builder = Builder::new(params).prologue(prologue).ok()?;
-    builder.psk(0, key).ok()
+    let builder = builder.psk(0, key).ok()?;
+    Some(match ephemeral {
+        Some(key) => builder.fixed_ephemeral_key_for_testing_only(key),
+        None => builder,
+    })
 }
 
 #[cfg(test)]

@@ -213,6 +213,12 @@ impl Shared {
         }
     }
 
+    /// Returns whether the peer evidently has the link, too.
+    pub(crate) fn is_shared(&self) -> bool {
+        let now = Instant::now().into_std();
+        !self.has_ended() && self.state.lock().multipath.is_shared(now)
+    }
+
     /// Returns the paths of the link.
     pub(crate) fn paths(&self) -> Vec<PathReport> {
         let state = self.state.lock();

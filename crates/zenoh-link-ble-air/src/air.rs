@@ -127,9 +127,6 @@ impl Air {
                 Timer::AdvertisingEnd(adapter, request) => {
                     self.on_advertising_end(adapter, request);
                 }
-                Timer::LingerEnd(id) => {
-                    self.connections.remove(&id);
-                }
             }
         }
         self.now = self.now.max(now);

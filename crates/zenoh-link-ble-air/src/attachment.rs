@@ -35,7 +35,8 @@ pub(super) struct Attachment {
     pub(super) address: DeviceAddress,
     air: Box<dyn AirConnection>,
     pub(super) state: watch::Sender<AdapterState>,
-    default_interval: Mutex<ConnectionInterval>,
+    /// The default connection interval, and whether that of an open connection can be changed.
+    intervals: Mutex<(ConnectionInterval, bool)>,
     /// Whether the first attempt to attach has completed.
     is_ready: watch::Sender<bool>,
     registrations: Mutex<Registrations>,
@@ -99,8 +100,9 @@ impl Attachment {
             address,
             air,
             state: watch::Sender::new(AdapterState::On),
-            default_interval: Mutex::new(ConnectionInterval::nearest(
-                AirOptions::default().interval,
+            intervals: Mutex::new((
+                ConnectionInterval::nearest(AirOptions::default().interval),
+                true,
             )),
             is_ready: watch::Sender::new(true),
             registrations: Mutex::default(),
@@ -114,13 +116,17 @@ impl Attachment {
         self
     }
 
-    /// Records the connection interval that the air uses by default.
-    pub(super) fn set_default_interval(&self, interval: ConnectionInterval) {
-        *self.default_interval.lock() = interval;
+    /// Records the connection interval that the air uses by default, and whether that of an open connection can be changed.
+    pub(super) fn set_intervals(&self, default: ConnectionInterval, can_change: bool) {
+        *self.intervals.lock() = (default, can_change);
     }
 
     pub(super) fn default_interval(&self) -> ConnectionInterval {
-        *self.default_interval.lock()
+        self.intervals.lock().0
+    }
+
+    pub(super) fn changes_open_connections(&self) -> bool {
+        self.intervals.lock().1
     }
 
     /// Marks the first attempt to attach as completed, successful or not.

@@ -46,8 +46,6 @@ pub(super) struct Connection {
     pub(super) losses_in_row: u8,
     /// Number of remaining events that the controllers use for their own set-up procedures.
     setup_events_left: u8,
-    /// Time since which the connection has had no channel.
-    pub(super) idle_since: Option<Duration>,
     /// Whether one side terminated the connection; the other side learns of it at the next successful event.
     pub(super) is_terminating: bool,
 }
@@ -98,7 +96,6 @@ impl Connection {
             is_event_lost: false,
             losses_in_row: 0,
             setup_events_left: SETUP_EVENTS,
-            idle_since: None,
             is_terminating: false,
         }
     }

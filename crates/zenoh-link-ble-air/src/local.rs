@@ -112,7 +112,7 @@ impl SimAir {
                 advice: error.to_string(),
             })?;
         let attachment = Arc::new(Attachment::new(name, address_of(name), Box::new(handle)));
-        attachment.set_default_interval(self.default_interval());
+        attachment.set_intervals(self.default_interval(), self.changes_open_connections());
         let weak = Arc::downgrade(&attachment);
         self.shared
             .inner
@@ -193,6 +193,12 @@ impl SimAir {
     /// Returns the connection interval of links for which no other one is set.
     pub(super) fn default_interval(&self) -> ConnectionInterval {
         self.shared.inner.lock().air.default_interval()
+    }
+
+    /// Returns whether an adapter can change the interval of an open connection.
+    pub(super) fn changes_open_connections(&self) -> bool {
+        let inner = self.shared.inner.lock();
+        inner.air.changes_open_connections()
     }
 
     /// Gives each SDU that is sent from now on to `sniffer`, which must not block. A former sniffer is replaced.

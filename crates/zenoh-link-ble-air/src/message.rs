@@ -77,17 +77,22 @@ pub enum Command {
         channel: ChannelId,
     },
     /// Sets the interval of connections to a peer of which the adapter is the central: of the next one, and of an
-    /// existing one.
+    /// existing one if the air's options permit it.
     SetInterval {
         /// Address of the peer.
         peer: DeviceAddress,
         /// Interval in units of 1.25 ms.
         units: u16,
     },
-    /// Closes a channel.
+    /// Closes a channel. Its connection stays open.
     Close {
         /// Channel.
         channel: ChannelId,
+    },
+    /// Closes the connection to a peer, with all channels on it.
+    Disconnect {
+        /// Address of the peer.
+        peer: DeviceAddress,
     },
 }
 

@@ -42,10 +42,6 @@ pub const SETUP_EVENTS: u8 = 3;
 /// 4.5.2).
 pub const ESTABLISH_INTERVALS: u32 = 6;
 
-/// Time for which a connection without a channel is kept. (Linux keeps it for 2 s; it is shorter here, so that tests
-/// observe the end sooner.)
-pub const LINGER: Duration = Duration::from_millis(200);
-
 /// Maximum deviation of a clock that the Core Specification allows (Vol 6, Part B, 4.2.2).
 const MAX_CLOCK_DRIFT_PPM: u16 = 500;
 
@@ -62,6 +58,8 @@ pub struct AirOptions {
     pub pdu: LlPayload,
     /// Connection interval, 7.5 ms to 4 s. Default: 30 ms, as BlueZ requests.
     pub interval: Duration,
+    /// Whether a host can change the interval of an open connection. Default: true, as with Linux 6.11 and later.
+    pub changes_open_connections: bool,
     /// Advertising interval, 20 ms to 10.24 s. Default: 100 ms.
     pub advertising_interval: Duration,
     /// Time after which a scan changes to the next advertising channel, 2.5 ms to 10.24 s. Default: 60 ms.
@@ -88,6 +86,7 @@ impl Default for AirOptions {
             phy: Phy::default(),
             pdu: LlPayload::default(),
             interval: Duration::from_millis(30),
+            changes_open_connections: true,
             advertising_interval: Duration::from_millis(100),
             scan_interval: Duration::from_millis(60),
             scan_window: Duration::from_millis(45),

@@ -33,6 +33,11 @@ impl Radio for SimRadio {
         &self.attachment.name
     }
 
+    fn id(&self) -> String {
+        // Several airs may have an adapter of that name.
+        format!("{} at {:p}", self.name(), Arc::as_ptr(&self.attachment))
+    }
+
     async fn address(&self) -> Result<DeviceAddress, RadioError> {
         self.attachment.wait_until_ready().await;
         match self.attachment.state() {
@@ -106,11 +111,19 @@ impl Radio for SimRadio {
         self.attachment.default_interval()
     }
 
+    fn changes_open_connections(&self) -> bool {
+        self.attachment.changes_open_connections()
+    }
+
     async fn set_interval(&self, peer: DeviceAddress, interval: ConnectionInterval) -> bool {
         let units = interval.units();
         let command = Command::SetInterval { peer, units };
         self.attachment.command(command);
         true
+    }
+
+    async fn disconnect(&self, peer: DeviceAddress) {
+        self.attachment.command(Command::Disconnect { peer });
     }
 
     async fn listen(

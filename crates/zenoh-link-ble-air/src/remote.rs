@@ -174,13 +174,13 @@ async fn keep_attached(
 ) {
     loop {
         let reason = match attach(path, name).await {
-            Ok((interval, from, to)) => {
+            Ok(((interval, can_change), from, to)) => {
                 let (sender, commands) = mpsc::unbounded_channel();
                 *connection.lock() = ServerConnection::Up(sender);
                 let Some(strong) = attachment.upgrade() else {
                     return;
                 };
-                strong.set_default_interval(interval);
+                strong.set_intervals(interval, can_change);
                 strong.on_adapter_state(AdapterState::On);
                 strong.set_ready();
                 drop(strong);
@@ -205,18 +205,23 @@ async fn keep_attached(
 async fn attach(
     path: &Path,
     name: &str,
-) -> Result<(ConnectionInterval, OwnedReadHalf, OwnedWriteHalf), DownReason> {
+) -> Result<((ConnectionInterval, bool), OwnedReadHalf, OwnedWriteHalf), DownReason> {
     let attach = ToAir::Attach {
         protocol: PROTOCOL,
         adapter: name.to_owned(),
     };
     match request(path, &attach).await.map_err(DownReason::NoServer)? {
-        (from, to, FromAir::Attached { interval_units }) => {
-            match ConnectionInterval::from_units(interval_units) {
-                Some(interval) => Ok((interval, from, to)),
-                None => Err(DownReason::NoServer(io::ErrorKind::InvalidData.into())),
-            }
-        }
+        (
+            from,
+            to,
+            FromAir::Attached {
+                interval_units,
+                changes_open_connections,
+            },
+        ) => match ConnectionInterval::from_units(interval_units) {
+            Some(interval) => Ok(((interval, changes_open_connections), from, to)),
+            None => Err(DownReason::NoServer(io::ErrorKind::InvalidData.into())),
+        },
         (_, _, FromAir::Refused(why)) => Err(DownReason::Refused(why)),
         (_, _, FromAir::Event(_) | FromAir::Done | FromAir::Status(_)) => {
             Err(DownReason::NoServer(io::ErrorKind::InvalidData.into()))

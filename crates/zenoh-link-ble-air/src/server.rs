@@ -145,8 +145,11 @@ async fn serve_first_message(
         }
         Some(ToAir::Attach { adapter, .. }) => {
             let attached = air.attach(&adapter)?;
-            let interval_units = air.default_interval().units();
-            send_message(to, &FromAir::Attached { interval_units }).await?;
+            let answer = FromAir::Attached {
+                interval_units: air.default_interval().units(),
+                changes_open_connections: air.changes_open_connections(),
+            };
+            send_message(to, &answer).await?;
             serve_adapter(attached, from, to).await
         }
         Some(ToAir::Control { control, .. }) => {

@@ -12,7 +12,7 @@ use super::{
 };
 
 /// Version of the protocol. It changes whenever a message changes; both ends must have the same version.
-pub(super) const PROTOCOL: u16 = 2;
+pub(super) const PROTOCOL: u16 = 3;
 
 /// Maximum size of a message in bytes. An SDU has at most 65535 bytes; a status is much shorter.
 pub(super) const MAX_MESSAGE_BYTES: usize = 128 * 1024;
@@ -32,7 +32,11 @@ pub(super) enum ToAir {
 #[derive(Debug, PartialEq, Serialize, Deserialize)]
 pub(super) enum FromAir {
     /// The adapter is attached. Connections have this interval by default, in units of 1.25 ms.
-    Attached { interval_units: u16 },
+    Attached {
+        interval_units: u16,
+        /// Whether the adapter can change the interval of an open connection.
+        changes_open_connections: bool,
+    },
     /// The request was refused, or the client is disconnected. Contains the reason.
     Refused(String),
     /// An event for the adapter.

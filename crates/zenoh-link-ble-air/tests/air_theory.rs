@@ -428,7 +428,7 @@ async fn connect_waits_for_an_advertisement_and_can_be_cancelled() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn two_channels_share_one_connection_that_ends_with_the_last() {
+async fn two_channels_share_one_connection_until_it_is_closed() {
     let air = air(desk());
     let host = host(&air, "sim-host").await;
     let radio = air.radio("sim-a").await.expect("attaches");
@@ -441,6 +441,15 @@ async fn two_channels_share_one_connection_that_ends_with_the_last() {
     drop(second.0);
     assert!(second.1.recv(&mut [0; 16]).await.is_err());
     drop(second.1);
+    tokio::time::sleep(Duration::from_secs(60)).await;
+    assert_eq!(air.status().links.len(), 1, "without a channel");
+    // Either side may close it, and the channels end with it.
+    let third = dial(&radio, &host).await;
+    let own = radio.address().await.expect("is attached");
+    host.radio.disconnect(own).await;
+    for end in [&third.0, &third.1] {
+        assert!(end.recv(&mut [0; 16]).await.is_err());
+    }
     tokio::time::sleep(Duration::from_secs(1)).await;
     assert!(air.status().links.is_empty());
 }

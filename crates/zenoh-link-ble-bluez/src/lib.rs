@@ -18,6 +18,7 @@ mod watch;
 
 use std::{
     future::Future,
+    io,
     sync::{Arc, OnceLock},
 };
 
@@ -134,6 +135,10 @@ impl Radio for BluezRadio {
         self.identity.requested_name()
     }
 
+    fn id(&self) -> String {
+        self.name().to_owned()
+    }
+
     async fn address(&self) -> Result<DeviceAddress, RadioError> {
         own_address(&self.adapter().await?).await
     }
@@ -244,6 +249,10 @@ impl Radio for BluezRadio {
             .get_or_init(timing::preferred_interval)
     }
 
+    fn changes_open_connections(&self) -> bool {
+        peer_intervals::changes_open_connections()
+    }
+
     async fn set_interval(&self, peer: DeviceAddress, interval: ConnectionInterval) -> bool {
         let adapter = self.identity.name();
         self.peer_intervals.set(&adapter, peer, interval).await
@@ -252,6 +261,26 @@ impl Radio for BluezRadio {
     async fn disconnect(&self, peer: DeviceAddress) {
         // bluetoothd keeps the connection open through its own channels, and the kernel would continue with stale
         // channel state ("Source CID already allocated").
+        let adapter = self.identity.name();
+        let Some(is_central) = role::is_central(&adapter, peer) else {
+            return;
+        };
+        let name = adapter.clone();
+        let closed = tokio::task::spawn_blocking(move || management::disconnect(&name, peer)).await;
+        match closed {
+            Ok(Err(error)) if error.kind() == io::ErrorKind::PermissionDenied => {}
+            _ => return,
+        }
+        // bluetoothd closes a connection two seconds after it is asked to. The peer does not know that, and may open a channel
+        // meanwhile, so this is left to the central, which waits before it dials again.
+        if is_central {
+            self.disconnect_by_bluetoothd(peer).await;
+        }
+    }
+}
+
+impl BluezRadio {
+    async fn disconnect_by_bluetoothd(&self, peer: DeviceAddress) {
         let Ok(adapter) = self.adapter().await else {
             return;
         };

@@ -11,10 +11,13 @@ use std::{
 
 use parking_lot::Mutex;
 use socket2::{Domain, Protocol, Socket, Type};
+use zenoh_link_ble_radio::address::{AddressType, DeviceAddress};
 
 const BTPROTO_HCI: i32 = 1;
 const HCI_DEV_NONE: u16 = 0xffff;
 const HCI_CHANNEL_CONTROL: u16 = 3;
+
+const OP_DISCONNECT: u16 = 0x0014;
 
 const EVENT_COMMAND_COMPLETE: u16 = 0x0001;
 const EVENT_COMMAND_STATUS: u16 = 0x0002;
@@ -52,11 +55,31 @@ pub fn is_permitted() -> Option<bool> {
     }
 }
 
-/// Sends commands with the operation `opcode` for the adapter `index`, each when the kernel has answered the previous one.
+/// Closes the connection to a peer, and waits until it is closed.
+///
+/// # Errors
+/// Fails if the kernel does not permit it, or if there is no connection.
+pub(super) fn disconnect(adapter: &str, peer: DeviceAddress) -> io::Result<()> {
+    send(adapter, OP_DISCONNECT, &[encode(peer).to_vec()])
+}
+
+/// Encodes an address and its type.
+pub(super) fn encode(peer: DeviceAddress) -> [u8; 7] {
+    let [a, b, c, d, e, f] = peer.address.0;
+    let kind = match peer.kind {
+        AddressType::Public => 1,
+        AddressType::Random => 2,
+    };
+    [f, e, d, c, b, a, kind]
+}
+
+/// Sends commands with the operation `opcode` for an adapter, each when the kernel has answered the previous one.
 ///
 /// # Errors
 /// The first error that the kernel reports; the kind is `PermissionDenied` without the capability.
-pub(super) fn send(index: u16, opcode: u16, commands: &[Vec<u8>]) -> io::Result<()> {
+pub(super) fn send(adapter: &str, opcode: u16, commands: &[Vec<u8>]) -> io::Result<()> {
+    let index = adapter.strip_prefix("hci").and_then(|n| n.parse().ok());
+    let index: u16 = index.ok_or_else(|| io::Error::other("the adapter has no number"))?;
     let mut kept = SOCKET.lock();
     let socket = match &mut *kept {
         Some(socket) => socket,
@@ -145,8 +168,20 @@ fn answer_status(event: &[u8], asked: u16) -> Option<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use zenoh_link_ble_radio::address::Address;
 
     const OPCODE: u16 = 0x0035;
+
+    #[test]
+    fn encodes_addresses_in_reverse_order() {
+        let peer = |kind| DeviceAddress {
+            address: Address([0xdc, 0xa6, 0x32, 1, 2, 3]),
+            kind,
+        };
+        let public = [3, 2, 1, 0x32, 0xa6, 0xdc, 1];
+        assert_eq!(encode(peer(AddressType::Public)), public);
+        assert_eq!(encode(peer(AddressType::Random))[6], 2);
+    }
 
     #[test]
     fn encodes_the_header_of_a_command() {

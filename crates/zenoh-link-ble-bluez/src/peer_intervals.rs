@@ -8,14 +8,14 @@
 //! MGMT_OP_LOAD_CONN_PARAM update existing connection"; `tests/vm/scenarios/test_five_robots.py` shows both behaviours.)
 use std::{
     io,
-    sync::atomic::{AtomicBool, Ordering},
+    sync::{
+        atomic::{AtomicBool, Ordering},
+        LazyLock,
+    },
 };
 
 use parking_lot::Mutex;
-use zenoh_link_ble_radio::{
-    address::{AddressType, DeviceAddress},
-    interval::ConnectionInterval,
-};
+use zenoh_link_ble_radio::{address::DeviceAddress, interval::ConnectionInterval};
 
 use super::management;
 
@@ -25,6 +25,25 @@ const OP_LOAD_CONNECTION_PARAMETERS: u16 = 0x0035;
 const SUPERVISION_TIMEOUT: u16 = 200;
 /// Largest number of peers whose intervals are kept: the kernel's other parameters stay few.
 const MAX_PEERS: usize = 32;
+
+/// The first kernel that changes the interval of an open connection.
+const CHANGES_OPEN_CONNECTIONS: (u32, u32) = (6, 11);
+
+/// Returns whether the kernel changes the interval of an open connection, and not only of the next one.
+pub(super) fn changes_open_connections() -> bool {
+    static CHANGES: LazyLock<bool> = LazyLock::new(|| {
+        let release = std::fs::read_to_string("/proc/sys/kernel/osrelease");
+        version_of(&release.unwrap_or_default()) >= Some(CHANGES_OPEN_CONNECTIONS)
+    });
+    *CHANGES
+}
+
+/// Returns the first two numbers of a kernel's release, such as `6.1.0-25-arm64`.
+fn version_of(release: &str) -> Option<(u32, u32)> {
+    let mut numbers = release.split(|c: char| !c.is_ascii_digit());
+    let mut next = || numbers.next()?.parse().ok();
+    Some((next()?, next()?))
+}
 
 /// The intervals that were set for peers of one adapter.
 #[derive(Default)]
@@ -70,15 +89,13 @@ impl PeerIntervals {
 
 /// Loads the intervals of all peers. The last one is the one that has changed.
 fn load(adapter: &str, all: &[(DeviceAddress, ConnectionInterval)]) -> io::Result<()> {
-    let index = adapter.strip_prefix("hci").and_then(|n| n.parse().ok());
-    let index: u16 = index.ok_or_else(|| io::Error::other("the adapter has no number"))?;
     let changed = all.last().map(std::slice::from_ref).unwrap_or_default();
     let commands = match all {
         [_] => vec![all],
         _ => vec![all, changed, all],
     };
     let commands: Vec<_> = commands.into_iter().map(parameters).collect();
-    management::send(index, OP_LOAD_CONNECTION_PARAMETERS, &commands)
+    management::send(adapter, OP_LOAD_CONNECTION_PARAMETERS, &commands)
 }
 
 /// Encodes the parameters of the command for these peers.
@@ -88,11 +105,7 @@ fn parameters(peers: &[(DeviceAddress, ConnectionInterval)]) -> Vec<u8> {
         .to_le_bytes()
         .to_vec();
     for (peer, interval) in peers {
-        parameters.extend(peer.address.0.iter().rev());
-        parameters.push(match peer.kind {
-            AddressType::Public => 1,
-            AddressType::Random => 2,
-        });
+        parameters.extend(management::encode(*peer));
         // Minimum and maximum interval, latency, supervision timeout.
         for value in [interval.units(), interval.units(), 0, SUPERVISION_TIMEOUT] {
             parameters.extend(value.to_le_bytes());
@@ -104,7 +117,27 @@ fn parameters(peers: &[(DeviceAddress, ConnectionInterval)]) -> Vec<u8> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use zenoh_link_ble_radio::address::Address;
+    use zenoh_link_ble_radio::address::{Address, AddressType};
+
+    #[test]
+    fn kernels_are_compared_by_version() {
+        for (release, changes) in [
+            ("5.10.0-46-amd64", false),
+            ("6.1.192-1", false),
+            ("6.10.1", false),
+            ("6.11.0-rc1", true),
+            ("6.12.107+deb13-arm64\n", true),
+            ("7.0.0", true),
+            ("", false),
+        ] {
+            let version = version_of(release);
+            assert_eq!(
+                version >= Some(CHANGES_OPEN_CONNECTIONS),
+                changes,
+                "{release}"
+            );
+        }
+    }
 
     #[test]
     fn encodes_the_parameters_of_the_command() {

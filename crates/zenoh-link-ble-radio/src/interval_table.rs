@@ -7,15 +7,20 @@
 //! All other pairs of links of a node must have intervals that do not conflict ([`ConnectionInterval::conflicts_with`]).
 //!
 //! The central prefers the default interval of its radio. In the handshake, both sides exchange the intervals that the new
-//! link must avoid, and both compute the same result. Handshakes with several peers at the same time may still
-//! lead to a conflict. The node that has it then changes the interval of a link of which it is the central, or requests
+//! link must avoid, and both compute the same result. A central whose radio cannot change the interval of an open connection
+//! announces the one in force, and requests the other one when it dials that peer again.
+//!
+//! Handshakes with several peers at the same time may still lead to a conflict. The node that has it then changes the interval of a link of which it is the central, or requests
 //! another one from the central. A link that the radio neglects gets another interval at once, and one that it has lost when
 //! it is dialled again, because the cause may be a device that does not report its intervals.
 use std::collections::{BTreeMap, VecDeque};
 
-use crate::{address::DeviceAddress, interval::ConnectionInterval};
+use crate::{
+    address::DeviceAddress,
+    interval::{ConnectionInterval, SPREAD},
+};
 
-/// Largest number of peers whose lost links are counted.
+/// Largest number of peers whose lost links are counted, and with which a later link should have a certain interval.
 const MAX_PEERS: usize = 64;
 /// Largest number of changes of a link's interval by this node, so that two nodes cannot disagree forever.
 const MAX_CHANGES: u8 = 8;
@@ -37,6 +42,8 @@ pub struct IntervalTable<K> {
     links: BTreeMap<K, LinkInterval>,
     /// Number of lost links by peer. The peer with the latest loss is at the end.
     losses: VecDeque<(DeviceAddress, usize)>,
+    /// The intervals that the next link with a peer should have, because that of an open link could not be changed.
+    preferred: VecDeque<(DeviceAddress, ConnectionInterval)>,
 }
 
 /// The interval of one link.
@@ -51,6 +58,20 @@ struct LinkInterval {
     peer_avoids: Option<Vec<ConnectionInterval>>,
     /// Number of changes by this node.
     changes: u8,
+    /// Whether this node, as the central, can change the interval of the open link.
+    can_change: bool,
+    /// Whether the interval in force differs from the one that the peer has computed, and has to be announced.
+    is_unannounced: bool,
+    /// Whether this node, as the peripheral, has requested another interval and has no answer yet.
+    is_requested: bool,
+}
+
+impl LinkInterval {
+    /// Returns whether this node can change the interval, or request another one.
+    fn is_changeable(&self) -> bool {
+        let can_change = self.can_change || !self.is_central;
+        self.peer_avoids.is_some() && self.changes < MAX_CHANGES && can_change
+    }
 }
 
 /// A link after its handshake.
@@ -62,6 +83,8 @@ pub struct NewLink {
     pub default: ConnectionInterval,
     /// Whether this node's clock determines the time of the link's events.
     pub is_central: bool,
+    /// Whether this node's radio can change the interval of an open connection.
+    pub can_change: bool,
 }
 
 /// An action that the caller performs.
@@ -69,13 +92,15 @@ pub struct NewLink {
 pub enum Action<K> {
     /// Set the interval of a link of which this node is the central, and announce it to the peer.
     Change(K, ConnectionInterval),
+    /// Announce the interval of a link of which this node is the central, without a change.
+    Announce(K, ConnectionInterval),
     /// Request another interval from the central of a link.
     Request(K, ConnectionInterval),
 }
 
 /// Returns the interval of a new link. `requested` is the central's choice, `central_avoids` and `peripheral_avoids` are the
 /// intervals that each side has reported.
-fn agreed(
+pub(crate) fn agreed(
     requested: ConnectionInterval,
     central_avoids: &[ConnectionInterval],
     peripheral_avoids: &[ConnectionInterval],
@@ -94,6 +119,7 @@ impl<K> Default for IntervalTable<K> {
         Self {
             links: BTreeMap::new(),
             losses: VecDeque::new(),
+            preferred: VecDeque::new(),
         }
     }
 }
@@ -104,8 +130,14 @@ impl<K: Copy + Ord> IntervalTable<K> {
     pub fn for_dial(&self, peer: DeviceAddress, default: ConnectionInterval) -> Intervals {
         let losses = self.losses.iter().find(|(device, _)| *device == peer);
         let avoid = self.of_other_clocks();
+        let preferred = self.preferred.iter().find(|(device, _)| *device == peer);
+        let preferred = preferred.map(|(_, interval)| *interval).filter(|interval| {
+            let is_near = interval.units().abs_diff(default.units()) <= SPREAD;
+            is_near && !avoid.iter().any(|other| interval.conflicts_with(*other))
+        });
+        let skip = losses.map_or(0, |(_, count)| *count);
         Intervals {
-            requested: Some(default.choose(&avoid, losses.map_or(0, |(_, count)| *count))),
+            requested: Some(preferred.unwrap_or_else(|| default.choose(&avoid, skip))),
             avoid,
         }
     }
@@ -136,6 +168,9 @@ impl<K: Copy + Ord> IntervalTable<K> {
         let avoid = self.of_other_clocks();
         let can_choose = own.as_ref().is_some_and(|own| own.requested.is_some());
         let interval = self.add(number, link, own, offered);
+        if let Some(added) = self.links.get_mut(&number) {
+            added.is_unannounced = false;
+        }
         Intervals {
             requested: Some(interval).filter(|_| can_choose),
             avoid,
@@ -154,15 +189,17 @@ impl<K: Copy + Ord> IntervalTable<K> {
         if link.is_central {
             return self.add(number, link, offered, answered);
         }
-        // The central has considered this node's intervals before it answered.
-        let answered = answered.map(|answered| Intervals {
-            avoid: Vec::new(),
-            ..answered
+        // The central has considered this node's intervals before it answered, and has answered with the result.
+        let [answered, offered] = [answered, offered].map(|side| {
+            side.map(|side| Intervals {
+                avoid: Vec::new(),
+                ..side
+            })
         });
         self.add(number, link, answered, offered)
     }
 
-    /// Adds a link, and returns its interval: the same at both ends.
+    /// Adds a link, and returns its interval: the same at both ends, unless this node has to announce it.
     fn add(
         &mut self,
         number: K,
@@ -174,15 +211,23 @@ impl<K: Copy + Ord> IntervalTable<K> {
             device,
             default,
             is_central,
+            can_change,
         } = link;
         let requested = central.as_ref().and_then(|central| central.requested);
         let avoids = [&central, &peripheral].map(|side| side.as_ref().map(|side| &side.avoid));
-        let interval = match (requested, avoids) {
+        let result = match (requested, avoids) {
             (Some(requested), [Some(central), Some(peripheral)]) => {
                 agreed(requested, central, peripheral)
             }
             (requested, _) => requested.unwrap_or(default),
         };
+        let interval = match requested {
+            Some(requested) if is_central && !can_change => requested,
+            _ => result,
+        };
+        if interval != result {
+            replace(&mut self.preferred, device, result);
+        }
         let peer = if is_central { peripheral } else { central };
         let link = LinkInterval {
             device,
@@ -190,6 +235,9 @@ impl<K: Copy + Ord> IntervalTable<K> {
             interval,
             peer_avoids: peer.filter(|_| requested.is_some()).map(|peer| peer.avoid),
             changes: 0,
+            can_change,
+            is_unannounced: interval != result,
+            is_requested: false,
         };
         self.links.insert(number, link);
         interval
@@ -217,13 +265,10 @@ impl<K: Copy + Ord> IntervalTable<K> {
             return;
         };
         let device = link.device;
-        let at = self.losses.iter().position(|(other, _)| *other == device);
-        let before = at.and_then(|at| self.losses.remove(at));
-        if self.losses.len() == MAX_PEERS {
-            self.losses.pop_front();
-        }
-        let count = before.map_or(0, |(_, count)| count);
-        self.losses.push_back((device, count.saturating_add(1)));
+        self.preferred.retain(|(other, _)| *other != device);
+        let before = self.losses.iter().find(|(other, _)| *other == device);
+        let count = before.map_or(0, |(_, count)| *count);
+        replace(&mut self.losses, device, count.saturating_add(1));
     }
 
     /// Records that the radio has sent nothing for a long time, although there was data to send: it may have served a link
@@ -239,6 +284,11 @@ impl<K: Copy + Ord> IntervalTable<K> {
         let own = self.of_other_clocks();
         let link = self.links.get_mut(&number)?;
         if !link.is_central {
+            // The central cannot change the interval, or has no better one.
+            if link.is_requested && interval == link.interval {
+                link.peer_avoids = None;
+            }
+            link.is_requested = false;
             link.interval = interval;
             return self.next_action();
         }
@@ -251,22 +301,33 @@ impl<K: Copy + Ord> IntervalTable<K> {
         if peer_avoids.len() > MAX_PEER_AVOIDS {
             peer_avoids.remove(0);
         }
-        link.interval = match own.iter().any(|other| interval.conflicts_with(*other)) {
+        let chosen = match own.iter().any(|other| interval.conflicts_with(*other)) {
             false => interval,
             true => interval.choose(&[&own[..], &peer_avoids[..]].concat(), 0),
         };
         link.changes += 1;
-        Some(Action::Change(number, link.interval))
+        if !link.can_change {
+            replace(&mut self.preferred, link.device, chosen);
+            return Some(Action::Announce(number, link.interval));
+        }
+        link.interval = chosen;
+        Some(Action::Change(number, chosen))
     }
 
-    /// Returns the action that resolves a conflict between two links of this node, if there is one. The caller performs it.
+    /// Returns the next action: an interval that has to be announced, or one that resolves a conflict between two links of this
+    /// node, if there is one. The caller performs it.
     pub fn next_action(&mut self) -> Option<Action<K>> {
+        let unannounced = self.links.iter_mut().find(|(_, link)| link.is_unannounced);
+        if let Some((number, link)) = unannounced {
+            link.is_unannounced = false;
+            return Some(Action::Announce(*number, link.interval));
+        }
         let conflicts = self.conflicts();
         let (number, _) = conflicts
             .iter()
             .flat_map(|(a, b)| [*b, *a])
             .filter_map(|number| Some((number, self.links.get(&number)?)))
-            .filter(|(_, link)| link.peer_avoids.is_some() && link.changes < MAX_CHANGES)
+            .filter(|(_, link)| link.is_changeable())
             // A link of which this node is the central can be changed at once. Otherwise, the latest one gives way.
             .max_by_key(|(number, link)| (link.is_central, *number))?;
         self.change(number, None)
@@ -277,7 +338,7 @@ impl<K: Copy + Ord> IntervalTable<K> {
         let others = self.others(number);
         let link = self.links.get_mut(&number)?;
         let peer_avoids = link.peer_avoids.as_ref()?;
-        if link.changes >= MAX_CHANGES {
+        if !link.is_changeable() {
             return None;
         }
         let own = others
@@ -294,6 +355,7 @@ impl<K: Copy + Ord> IntervalTable<K> {
             link.interval = interval;
             return Some(Action::Change(number, interval));
         }
+        link.is_requested = true;
         Some(Action::Request(number, interval))
     }
 
@@ -317,6 +379,15 @@ impl<K: Copy + Ord> IntervalTable<K> {
             .map(|(_, link)| (link.is_central, link.interval))
             .collect()
     }
+}
+
+/// Sets the value of a peer, which becomes the latest one. The number of peers is bounded.
+fn replace<T>(values: &mut VecDeque<(DeviceAddress, T)>, device: DeviceAddress, value: T) {
+    values.retain(|(other, _)| *other != device);
+    if values.len() == MAX_PEERS {
+        values.pop_front();
+    }
+    values.push_back((device, value));
 }
 
 #[cfg(test)]

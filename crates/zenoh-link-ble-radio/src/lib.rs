@@ -8,6 +8,8 @@ pub mod address;
 pub mod advertisement;
 pub mod interval;
 pub mod interval_table;
+#[cfg(test)]
+mod vectors;
 
 use std::{sync::Arc, time::Duration};
 
@@ -164,6 +166,9 @@ pub trait Radio: Send + Sync {
     /// Returns the adapter's name, such as `hci0` or `sim-wombat-1`.
     fn name(&self) -> &str;
 
+    /// Identifies the adapter within this process: radios with equal ids share its connections.
+    fn id(&self) -> String;
+
     /// Returns the adapter's own address.
     ///
     /// # Errors
@@ -224,13 +229,16 @@ pub trait Radio: Send + Sync {
     /// Returns the connection interval that the radio uses unless another one is set.
     fn default_interval(&self) -> ConnectionInterval;
 
+    /// Returns whether [`Radio::set_interval`] changes the interval of an open connection, too, and not only of the next one.
+    fn changes_open_connections(&self) -> bool;
+
     /// Sets the interval of connections to `peer` of which this adapter is the central: of the next one, and of an
-    /// existing one if the radio supports that. Returns `false` if the radio does not permit it.
+    /// existing one if [`Radio::changes_open_connections`]. Returns `false` if the radio does not permit it.
     async fn set_interval(&self, peer: DeviceAddress, interval: ConnectionInterval) -> bool;
 
-    /// Closes any connection to the device, so that the next connect starts from a clean state. Called after a failed
-    /// handshake. The default does nothing, for a radio on which a failed channel leaves no connection behind.
-    async fn disconnect(&self, _peer: DeviceAddress) {}
+    /// Closes the connection to the device, with all channels on it, if there is one. The system keeps a connection without
+    /// channels. Returns when the connection is closed, or cannot be.
+    async fn disconnect(&self, peer: DeviceAddress);
 }
 
 /// Keeps an advertisement on the air until it is dropped.

@@ -4,11 +4,12 @@
 //! links and peers share. One peer can use up either limit, and every other peer is then refused. Links accepted here
 //! first pass a gate: if the limit of handshakes is reached, the gate evicts the oldest handshake of the source that
 //! has the most, and it limits sessions in total and per source. Registered links pass the gate only if their registration
-//! says so; the sessions that the gate keeps free remain available to the others.
+//! says so; the sessions that the gate keeps free remain available to the others. A session that declares more than its share waits.
 //!
 //! No limit applies until [`set_limits`] is called; without that call, this crate behaves like the published one.
-//! `permits` decides, `link` is an accepted link that holds a permit, and this file connects both to Zenoh's channel.
+//! `permits` and `declarations` decide, `link` is an accepted link that holds a permit, and this file connects them to Zenoh's channel.
 
+mod declarations;
 mod link;
 mod permits;
 
@@ -22,15 +23,19 @@ use parking_lot::{Mutex, RwLock};
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 use zenoh_link_commons::{LinkUnicast, NewLinkChannelSender};
+use zenoh_protocol::core::Locator;
 use zenoh_runtime::ZRuntime;
 
-pub use self::permits::{Limits, Refusal, Source};
+pub use self::{
+    declarations::PER_S as DECLARATIONS_PER_S,
+    permits::{Limits, Refusal, Source},
+};
 use self::{
     link::AdmittedLink,
     permits::{Admitted, PermitId, Permits},
 };
 
-/// Minimum time between two log messages about refusals, so that a flood does not fill the log.
+/// Minimum time between two log messages about refusals, or about declarations, so that a flood does not fill the log.
 const LOG_PERIOD: Duration = Duration::from_secs(10);
 /// Maximum time for a refused link to close. Some links send a goodbye to their peer, which may not read it.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
@@ -42,6 +47,12 @@ static GATE: RwLock<Option<Arc<Gate>>> = RwLock::new(None);
 /// that are not gated. Must be called before Zenoh is opened.
 pub fn set_limits(limits: Limits) {
     *GATE.write() = Some(Arc::new(Gate::new(limits)));
+}
+
+/// Returns how many declarations had to wait so far, because their program made too many.
+pub fn delayed_declarations() -> u64 {
+    let gate = GATE.read().clone();
+    gate.map_or(0, |gate| gate.state.lock().waited)
 }
 
 /// Returns a channel to which a link manager sends accepted links. Admitted links are forwarded to `new_links`. If no
@@ -75,7 +86,10 @@ struct Gate {
 
 struct State {
     permits: Permits,
-    log: RefusalLog,
+    refusals: LogLimit,
+    declarations: LogLimit,
+    /// Number of declarations that had to wait.
+    waited: u64,
     /// Tokens that cancel the handshakes that are not complete.
     handshakes: HashMap<PermitId, CancellationToken>,
 }
@@ -86,7 +100,9 @@ impl Gate {
             limits,
             state: Mutex::new(State {
                 permits: Permits::new(limits),
-                log: RefusalLog::default(),
+                refusals: LogLimit::default(),
+                declarations: LogLimit::default(),
+                waited: 0,
                 handshakes: HashMap::new(),
             }),
             released: Notify::new(),
@@ -112,7 +128,7 @@ impl Gate {
             }
         };
         let mut state = self.state.lock();
-        state.log.refused(Instant::now(), &source, refusal);
+        state.log_refusal(Instant::now(), &source, refusal);
         drop(state);
         tokio::spawn(tokio::time::timeout(CLOSE_TIMEOUT, async move {
             let _ = link.close().await;
@@ -131,7 +147,7 @@ impl Gate {
             let handshake = state.handshakes.remove(&evicted.id);
             handshake.inspect(CancellationToken::cancel);
             let (now, refusal) = (Instant::now(), Refusal::Handshakes);
-            state.log.refused(now, &evicted.source, refusal);
+            state.log_refusal(now, &evicted.source, refusal);
         }
         let handshake = CancellationToken::new();
         state.handshakes.insert(id, handshake.clone());
@@ -162,8 +178,21 @@ impl Permit {
         let established = state.permits.establish(self.id);
         established.inspect_err(|refusal| {
             let now = Instant::now();
-            state.log.refused(now, &self.source, *refusal);
+            state.log_refusal(now, &self.source, *refusal);
         })
+    }
+
+    /// Counts and reports declarations that had to wait.
+    fn on_waited(&self, program: &Locator, count: u32) {
+        let mut state = self.gate.state.lock();
+        state.waited += u64::from(count);
+        let waited = state.waited;
+        if state.declarations.on_event(Instant::now()).is_some() {
+            tracing::warn!(
+                "the program at {program} declares more than {DECLARATIONS_PER_S} subscribers, services and tokens per second, so it waits; \
+                 {waited} declarations have waited since the start. Declare fewer, such as one subscriber with a wildcard"
+            );
+        }
     }
 }
 
@@ -177,24 +206,33 @@ impl Drop for Permit {
     }
 }
 
-/// Counts the refusals since the last log message.
+impl State {
+    fn log_refusal(&mut self, now: Instant, source: &Source, refusal: Refusal) {
+        if let Some(more) = self.refusals.on_event(now) {
+            tracing::warn!("refused a connection from {source}: {refusal}{more}");
+        }
+    }
+}
+
+/// Limits the log messages about one kind of event.
 #[derive(Default)]
-struct RefusalLog {
+struct LogLimit {
     last: Option<Instant>,
     unlogged: u64,
 }
 
-impl RefusalLog {
-    fn refused(&mut self, now: Instant, source: &Source, refusal: Refusal) {
+impl LogLimit {
+    /// Counts an event. Returns the end of its log message, or `None` if it is not logged.
+    fn on_event(&mut self, now: Instant) -> Option<String> {
         self.unlogged += 1;
         if self.last.is_some_and(|last| now - last < LOG_PERIOD) {
-            return;
+            return None;
         }
         let more = match self.unlogged - 1 {
             0 => String::new(),
             more => format!(" ({more} more since the last such message)"),
         };
-        tracing::warn!("refused a connection from {source}: {refusal}{more}");
         (self.last, self.unlogged) = (Some(now), 0);
+        Some(more)
     }
 }

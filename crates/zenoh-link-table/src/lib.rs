@@ -5,7 +5,8 @@
 //! no links themselves. All public items of the published crate exist here with the same names.
 //!
 //! `table` dispatches to the crates of Zenoh's links (`zenoh-link-tcp`, ...), and `registry` to the registered ones.
-//! [`admission`] limits the accepted links that are passed on to Zenoh, if a router asks for it.
+//! [`admission`] limits the accepted links that are passed on to Zenoh, and [`succession`] lets a link follow another one only after
+//! both sides have released that one, if a program asks for it.
 
 use std::collections::HashMap;
 
@@ -19,6 +20,7 @@ use zenoh_result::{bail, Error, ZResult};
 
 pub mod admission;
 mod registry;
+pub mod succession;
 #[macro_use]
 mod table;
 

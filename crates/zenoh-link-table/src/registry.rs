@@ -5,7 +5,7 @@ use parking_lot::RwLock;
 use zenoh_link_commons::{LinkManagerUnicast, NewLinkChannelSender};
 use zenoh_result::{bail, ZResult};
 
-use crate::admission;
+use crate::{admission, succession};
 
 /// The registered links of this process. A link is never removed, because Zenoh keeps link managers by their prefix.
 static LINKS: LazyLock<RwLock<Vec<RegisteredLink>>> = LazyLock::new(|| RwLock::new(built_in()));
@@ -19,6 +19,9 @@ pub struct RegisteredLink {
     pub is_reliable: bool,
     /// Whether accepted links pass the gate of [`admission`]. A link that limits its own accepted links does not need it.
     pub is_gated: bool,
+    /// Whether its managers open links themselves, to which the rules of [`succession`] apply. A link that is opened by the manager of
+    /// another one is subject to them already.
+    pub opens_links: bool,
     /// Creates a link manager, which sends accepted links to the channel.
     pub make: fn(NewLinkChannelSender) -> LinkManagerUnicast,
 }
@@ -26,10 +29,14 @@ pub struct RegisteredLink {
 impl RegisteredLink {
     /// Creates a link manager, which sends accepted links to `new_links`, through the gate if it applies to this link.
     pub(crate) fn manager(&self, new_links: NewLinkChannelSender) -> LinkManagerUnicast {
-        (self.make)(match self.is_gated {
+        if !self.opens_links {
+            return (self.make)(new_links);
+        }
+        let new_links = succession::accepting(new_links);
+        succession::dialling((self.make)(match self.is_gated {
             true => admission::gated(new_links),
             false => new_links,
-        })
+        }))
     }
 }
 
@@ -84,6 +91,7 @@ fn built_in() -> Vec<RegisteredLink> {
             is_reliable: true,
             // The radio limits its links itself; they must be accepted even if all other sessions are in use.
             is_gated: false,
+            opens_links: true,
             make: |new_links| {
                 std::sync::Arc::new(zenoh_link_ble::LinkManagerUnicastBle::new(new_links))
             },
@@ -132,6 +140,7 @@ mod tests {
             prefix,
             is_reliable: true,
             is_gated: false,
+            opens_links: true,
             make: |_| Arc::new(Pigeons("pigeon/first")),
         }
     }

@@ -113,7 +113,8 @@ macro_rules! link_table {
             pub fn make(new_links: NewLinkChannelSender, endpoint: &EndPoint) -> ZResult<LinkManagerUnicast> {
                 match LinkKind::try_from(endpoint)? {
                     $( $(#[$cfg])* LinkKind::$kind => {
-                        Ok(std::sync::Arc::new($krate::$manager::new($crate::admission::gated(new_links))))
+                        let new_links = $crate::admission::gated($crate::succession::accepting(new_links));
+                        Ok($crate::succession::dialling(std::sync::Arc::new($krate::$manager::new(new_links))))
                     } )+
                     LinkKind::Registered => {
                         let link = $crate::registry::require(endpoint.protocol().as_str())?;

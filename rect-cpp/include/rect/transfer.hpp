@@ -27,7 +27,8 @@ struct TransferOptions {
     std::string name{};
     /// The encoding of the content. If it is empty, a value keeps its own encoding, and a file is `zenoh/bytes`.
     std::string encoding{};
-    /// How long the receiver may be unreachable before the transfer fails. 0 means no limit.
+    /// How long the receiver may be unreachable, or its program take none of the transfers that have arrived, before the
+    /// transfer fails. 0 means no limit.
     std::chrono::milliseconds timeout{0};
 };
 

@@ -139,7 +139,8 @@ class RecordedMessage(Message):
 class Recording:
     """Reads a recording: an MCAP file, or the folder of one that runs or was interrupted.
 
-    Iterating yields each `RecordedMessage` in the order of recording. Messages of other programs, whose topics do not
+    Iterating yields each `RecordedMessage` in the order of recording, also if another program has written the file in
+    another one. Messages of other programs, whose topics do not
     begin with the name of a robot, are skipped. Raises `RecordingError` if the recording is damaged or not there.
 
         for message in rect.Recording("match.mcap"):
@@ -168,9 +169,9 @@ class Recording:
         """Returns the numbers in the messages that match a pattern, as arrays of equal length.
 
         The array `time_s` has the seconds since the start of the recording. The others are named after the fields of
-        the values: `at.x` for `{"at": {"x": 1}}`, and `value` for a value that is a number. A message without a field,
-        or without a readable value, has NaN there. `pandas.DataFrame(recording.numbers("wombat-1/arm/angle"))` is a
-        table of them.
+        the values: `at.x` for `{"at": {"x": 1}}`, `0`, `1` and so on for a list or an array of numbers, and `value` for
+        a value that is a number. A message without a field, or without a readable value, has NaN there.
+        `pandas.DataFrame(recording.numbers("wombat-1/arm/angle"))` is a table of them.
         """
         columns = _Columns(self._started())
         for message in self.messages(pattern):
@@ -281,3 +282,6 @@ def _collect(name: str, value: Any, to: dict[str, float]) -> None:
     elif isinstance(value, (list, tuple)):
         for index, inner in enumerate(value):
             _collect(f"{name}.{index}" if name else str(index), inner, to)
+    elif hasattr(value, "tolist"):
+        # An array of numpy.
+        _collect(name, value.tolist(), to)

@@ -469,8 +469,8 @@ class Robot:
 
         - `data`: the path of a file (text or `Path`), bytes, or any other value that `publish` accepts, except text.
         - `name`: file name for the receiver. Default: the name of the file.
-        - `timeout`: longest time without an answer from the receiver, in seconds. Default: no limit, so the receiver
-          may be unreachable for any length of time.
+        - `timeout`: longest time, in seconds, without an answer from the receiver, or in which its program takes none
+          of the transfers that have arrived. Default: no limit, so the receiver may be unreachable for any time.
         - `on_progress`: called with a `Progress`, at most ten times a second.
 
         Raises `TransferRefused`, `TransferFailed`, `TransferError` if `name` is not a valid file name, `TimedOut`,

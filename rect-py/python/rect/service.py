@@ -41,9 +41,10 @@ class Request:
 
     __slots__ = ("_key", "_query", "_session", "deadline", "payload", "sender")
 
-    def __init__(self, query: zenoh.Query, session: Session, key: str, age: float = 0) -> None:
-        attachment = query.attachment
-        sender, timeout = _rect.requester(None if attachment is None else attachment.to_bytes())
+    def __init__(
+        self, query: zenoh.Query, requester: tuple[str | None, float], session: Session, key: str, age: float = 0
+    ) -> None:
+        sender, timeout = requester
         encoding = query.encoding
         self._query = query
         self._session = session
@@ -138,18 +139,24 @@ class Requests:
         """Waits for the next request that can still be answered. Raises `Ended`."""
         while True:
             request = self._request(*self._queue.pop())
-            if self._decode(request):
+            if request is not None and self._decode(request):
                 return request
 
     async def next_async(self) -> Request:
         """Does the same as `next`, for asyncio."""
         while True:
             request = self._request(*await self._queue.pop_async())
-            if self._decode(request):
+            if request is not None and self._decode(request):
                 return request
 
-    def _request(self, query: zenoh.Query, arrived_at: _rect.Timestamp) -> Request:
-        return Request(query, self._session, self._key, arrived_at.ago())
+    def _request(self, query: zenoh.Query, arrived_at: _rect.Timestamp) -> Request | None:
+        """Returns the request that a query makes. Any other query ends without a reply."""
+        attachment = query.attachment
+        requester = _rect.requester(str(query.key_expr), None if attachment is None else attachment.to_bytes())
+        if requester is None:
+            query.drop()
+            return None
+        return Request(query, requester, self._session, self._key, arrived_at.ago())
 
     def _decode(self, request: Request) -> bool:
         """Decodes the request, and returns whether to handle it.

@@ -277,6 +277,7 @@ class _TransferReceiver:
         pull = _rect.TransferPull(self._session.key_space, offered, self._folder, self._timeout)
         self._pull(offered, pull, about)
         # A transfer is done when the program has read it or will read it. A slow program makes this wait.
+        self._core.on_untaken(offered)
         has_room = not pull.is_stopped and self._wait_for_room()
         self._core.on_ended(offered, pull, has_room)
         self._running.pop(offered.id, None)

@@ -76,6 +76,11 @@ impl TransferReception {
         lock(&self.core).on_received_bytes(offered.id, received_bytes);
     }
 
+    /// Handles that a transfer has arrived, or failed, and waits for the program.
+    fn on_untaken(&self, offered: &OfferedTransfer) {
+        lock(&self.core).on_untaken(offered.id);
+    }
+
     /// Handles the end of a transfer. `has_room` is whether the program has room for the outcome.
     fn on_ended(&self, offered: &OfferedTransfer, pull: &TransferPull, has_room: bool) {
         lock(&self.core).on_ended(offered.id, pull.result(), has_room);

@@ -135,6 +135,10 @@ fn configuration(of_host: &str) -> ZResult<Config> {
         let value = robot.pointer(setting).cloned().unwrap_or_default();
         put(&mut ours, setting, value);
     }
+    let network = &mut ours["qos"]["network"];
+    if network.as_array().is_none_or(Vec::is_empty) {
+        *network = robot["qos"]["network"].clone();
+    }
     Config::from_json5(&ours.to_string())
 }
 
@@ -178,5 +182,6 @@ mod tests {
             16 << 20
         );
         assert_eq!(ours["connect"]["timeout_ms"], -1);
+        assert_eq!(ours["qos"]["network"][0]["id"], "large messages");
     }
 }

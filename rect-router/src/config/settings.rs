@@ -69,6 +69,10 @@ pub struct Settings {
     pub robot: String,
     /// Path of the connections file; without it the robot has no named connections.
     pub connections: Option<PathBuf>,
+    /// Folders of the files that options of named connections may name, such as certificates, besides `/etc/rect` and the folder
+    /// of the connections file. Absolute paths.
+    #[serde(default)]
+    pub option_folders: Vec<PathBuf>,
     /// Robots to connect to; default `listed`.
     #[serde(default)]
     pub auto_connect: AutoConnect,
@@ -150,6 +154,16 @@ impl Settings {
                 return Err(refused(format!("{key} is {given}, but must be 1 to {max}")));
             }
         }
+        if let Some(relative) = settings
+            .option_folders
+            .iter()
+            .find(|folder| !folder.is_absolute())
+        {
+            let folder = relative.display();
+            return Err(refused(format!(
+                "option_folders: {folder} is not an absolute path"
+            )));
+        }
         Ok(settings)
     }
 }
@@ -186,6 +200,7 @@ mod tests {
             fleet: "rect".into(),
             robot: "wombat-1".into(),
             connections: None,
+            option_folders: Vec::new(),
             auto_connect: AutoConnect::Listed,
             auto_links: DEFAULT_AUTO_LINKS,
             max_connections: DEFAULT_MAX_CONNECTIONS,
@@ -209,6 +224,7 @@ mod tests {
             ("{ robot: 'a', auto_links: 8 }", "auto_links"),
             ("{ robot: 'a', max_connections: 0 }", "max_connections"),
             ("{ robot: 'a', max_connections: 1001 }", "max_connections"),
+            ("{ robot: 'a', option_folders: ['tls'] }", "option_folders"),
             ("{ robot: 'a', sessions: { per_robot: 1 } }", "per_robot"),
         ] {
             let error = taken(&format!("{{ plugins: {{ rect: {text} }} }}")).expect_err(text);

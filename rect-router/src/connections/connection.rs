@@ -12,10 +12,11 @@ use zenoh_link_table::{
     EndPoint, LinkManagerBuilderUnicast, LinkUnicast, LinkUnicastTrait, Locator, NewLink,
     NewLinkChannelSender,
 };
-use zenoh_result::ZResult;
+use zenoh_result::{Error, ZResult};
 
 use super::{
     observed::{LinkObserver, ObservedLink},
+    option_files::{self, LocalError},
     spec::Spec,
 };
 
@@ -144,6 +145,22 @@ impl NamedConnection {
         links.iter().filter_map(Weak::upgrade).collect()
     }
 
+    fn on_dial_failed(&self, error: &Error) {
+        let reason = error.to_string();
+        if let Some(local) = error.downcast_ref::<LocalError>() {
+            // Once, and not for each attempt.
+            let state = self.state.lock();
+            if state
+                .last_error
+                .as_ref()
+                .is_none_or(|last| last.reason != reason)
+            {
+                tracing::warn!("{}: {}", self.spec.name, local.with_reason());
+            }
+        }
+        self.on_failed(&reason);
+    }
+
     fn on_failed(&self, reason: &str) {
         self.state.lock().failed += 1;
         self.on_link_error(reason);
@@ -183,9 +200,16 @@ impl Dial for ConnectionDialler {
     async fn dial(&self, links: &NewLinkChannelSender) -> ZResult<LinkUnicast> {
         let Self(connection) = self;
         let attempt = Attempt(Some(connection));
-        let made = link(links, &connection.spec.endpoint).await;
+        let endpoint = &connection.spec.endpoint;
+        let made = match option_files::check(endpoint) {
+            Ok(()) => {
+                let made = link(links, endpoint).await;
+                made.map_err(|error| option_files::public_error(endpoint, error))
+            }
+            Err(error) => Err(error.into()),
+        };
         attempt.disarm();
-        let made = made.inspect_err(|error| connection.on_failed(&error.to_string()))?;
+        let made = made.inspect_err(|error| connection.on_dial_failed(error))?;
         let observed =
             |link| ObservedLink::new(link, Arc::clone(connection) as Arc<dyn LinkObserver>);
         let (made, links) = match made.0 {

@@ -188,6 +188,7 @@ mod tests {
         let limits = Limits {
             robot: "wombat-1".into(),
             max_connections: 3,
+            option_folders: vec!["/etc/rect".into()],
         };
         let text = edit.applied(|| Ok(text.to_owned()), &limits);
         let text = text.map_err(|error| error.to_string())?;
@@ -263,6 +264,13 @@ mod tests {
                     r#"{"name":"x","method":"ble","address":"a"},{"name":"y","method":"ble","address":"b"}"#,
                 ),
                 "too many",
+            ),
+            (
+                add(
+                    TEXT,
+                    r#"{"name":"x","method":"tls","address":"a","port":1,"options":{"root_ca_certificate_file":"/dev/zero"}}"#,
+                ),
+                "be in /etc/rect",
             ),
             (add(TEXT, r#"]},{"#), "cannot be added"),
             (

@@ -14,7 +14,10 @@ use jsonc_parser::{
     parse_to_ast, ParseOptions,
 };
 
-use super::spec::{RawSpec, Spec, SpecError};
+use super::{
+    option_files,
+    spec::{RawSpec, Spec, SpecError},
+};
 use crate::{
     config::{AutoConnect, MAX_AUTO_LINKS},
     regular_file,
@@ -80,6 +83,8 @@ pub struct Limits {
     pub robot: String,
     /// Maximum number of connections.
     pub max_connections: usize,
+    /// Folders of the files that options may name.
+    pub option_folders: Vec<PathBuf>,
 }
 
 /// Reads and parses a connections file.
@@ -269,6 +274,8 @@ impl<'a> Reader<'a> {
                         return Err(self.mistake(other.range(), problem));
                     }
                 };
+                option_files::check_path(key, &value, &self.limits.option_folders)
+                    .map_err(|problem| self.mistake(field.value.range(), problem))?;
                 raw.options.insert(key.to_owned(), value);
             }
         }

@@ -2,13 +2,16 @@
 
 use std::{
     fs,
-    path::PathBuf,
+    os::unix::fs::symlink,
+    path::{Path, PathBuf},
     time::{Duration, Instant},
 };
 
 use crate::support::{
-    answers, arrives, ask, ble, client, connected, file, repository, tcp, Air, Wombat, DEADLINE,
+    answers, arrives, ask, ble, change, client, connected, file, repository, tcp, Air, Wombat,
+    DEADLINE,
 };
+use nix::{sys::stat::Mode, unistd::mkfifo};
 use serde_json::{json, Value};
 use zenoh::Wait;
 
@@ -394,4 +397,52 @@ fn robots_connect_automatically_within_their_fleet_only() {
             "{links:#}"
         );
     }
+}
+
+#[test]
+fn files_of_options_neither_block_other_connections_nor_show_which_ones_exist() {
+    let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let two = Wombat::start(&air, &folder, 2, &file(&[]));
+    let path = |name: &str| folder.path().join(name);
+    mkfifo(&path("pipe"), Mode::S_IRWXU).expect("a pipe");
+    symlink("/dev/zero", path("zero")).expect("a link");
+    let with_file = |name: &str, method: &str, port: u16, path: &Path| {
+        let options = json!({ "root_ca_certificate_file": path });
+        json!({ "name": name, "method": method, "address": "127.0.0.1", "port": port, "options": options })
+    };
+    let names = ["pipe", "zero", "missing"];
+    let mut listed: Vec<_> = ["tls", "quic", "tls"]
+        .iter()
+        .zip(names)
+        .zip(1..)
+        .map(|((method, name), port)| with_file(name, method, port, &path(name)))
+        .collect();
+    let mut one = Wombat::start(&air, &folder, 1, &file(&[]));
+    let local = client(&one.endpoint);
+    one.write(&file(&listed));
+    one.router
+        .wait_for("pipe: the file of the option root_ca_certificate_file cannot be used");
+    let registry = "rect/wombat-1/@rect/connections";
+    for name in names {
+        let failed = answers(&local, &format!("{registry}?name={name}"), |all| {
+            all[0]["failed"].as_u64() > Some(0)
+        });
+        assert_eq!(
+            failed[0]["last_error"]["what"],
+            "the file of the option root_ca_certificate_file cannot be used; the log of this robot's router has the reason",
+            "{failed:#}"
+        );
+    }
+    listed.push(tcp("base", two.port()));
+    one.write(&file(&listed));
+    let base = format!("{registry}?name=base");
+    answers(&local, &base, |all| connected(all) == 1);
+
+    // A file outside of the folders is not even opened.
+    let add = "rect/wombat-1/@rect/@config/connections?add";
+    let elsewhere = with_file("base", "tls", 4, Path::new("/dev/zero")).to_string();
+    let refused = change(&local, add, &elsewhere).expect("an answer");
+    assert!(
+        refused.is_err_and(|error| error.contains("the file must be given by its absolute path"))
+    );
 }

@@ -1,4 +1,4 @@
-//! Tests that a flood of small messages over a slow link delays the next message of its priority only briefly, and other
+//! Tests that a flood of messages over a slow link delays the next message of its priority only briefly, and other
 //! priorities not at all: `cargo test -p rect-router --test timing flood`
 use std::{
     sync::{
@@ -48,11 +48,11 @@ impl Pair {
     }
 }
 
-/// A program that publishes messages of 128 bytes as fast as its router accepts them.
+/// A program that publishes messages of one size as fast as its router accepts them.
 struct Flood(Arc<AtomicBool>);
 
 impl Flood {
-    fn start(router: &str) -> Self {
+    fn start(router: &str, message_bytes: usize) -> Self {
         // By default a client closes its session if its router accepts no message for 5 s.
         const WAIT: &str = "transport/link/tx/queue/congestion_control/block/wait_before_close";
         let session = client_with(router, &[(WAIT, "60000000")]).expect("a session");
@@ -63,7 +63,9 @@ impl Flood {
             let publisher = session.declare_publisher("rect/wombat-1/flood");
             let publisher = publisher.congestion_control(CongestionControl::Block);
             let publisher = publisher.wait().expect("a publisher");
-            while !finished.load(Ordering::Relaxed) && publisher.put([7; 128]).wait().is_ok() {}
+            while !finished.load(Ordering::Relaxed)
+                && publisher.put(vec![7; message_bytes]).wait().is_ok()
+            {}
         });
         Self(is_finished)
     }
@@ -82,9 +84,9 @@ struct Outcome {
     after: Option<Duration>,
 }
 
-/// Lets `programs` programs of robot 1 flood the link while another one publishes messages of `priority`, one after the
-/// other.
-fn beside_floods(programs: usize, priority: Priority) -> Outcome {
+/// Lets `programs` programs of robot 1 flood the link with messages of a size while another one publishes messages of `priority`, one
+/// after the other.
+fn beside_floods(programs: usize, message_bytes: usize, priority: Priority) -> Outcome {
     let pair = Pair::start();
     let (from, to) = (client(&pair.local), client(&pair.remote));
     // The callback discards messages at once: a full queue would block the whole session.
@@ -108,7 +110,9 @@ fn beside_floods(programs: usize, priority: Priority) -> Outcome {
     };
     assert!(next().is_some(), "a message arrives without a flood");
 
-    let floods: Vec<_> = (0..programs).map(|_| Flood::start(&pair.local)).collect();
+    let floods: Vec<_> = (0..programs)
+        .map(|_| Flood::start(&pair.local, message_bytes))
+        .collect();
     let (begun, mut during) = (Instant::now(), Vec::new());
     while begun.elapsed() < FLOOD {
         during.extend(next());
@@ -118,13 +122,13 @@ fn beside_floods(programs: usize, priority: Priority) -> Outcome {
         flood.stop();
     }
     let after = next();
-    println!("{programs} floods, {priority:?}: {during:?} during, {after:?} after");
+    println!("{programs} floods of {message_bytes} bytes, {priority:?}: {during:?} during, {after:?} after");
     Outcome { during, after }
 }
 
 #[test]
 fn a_message_of_the_same_priority_arrives_soon_after_a_flood() {
-    let outcome = beside_floods(1, Priority::Data);
+    let outcome = beside_floods(1, 128, Priority::Data);
     assert!(
         outcome.after.is_some_and(|after| after < NEXT),
         "{:?}",
@@ -132,9 +136,19 @@ fn a_message_of_the_same_priority_arrives_soon_after_a_flood() {
     );
 }
 
+/// Large messages have a lane of their own (`qos/network`), so that normal messages do not wait for them.
+#[test]
+fn a_message_of_the_same_priority_arrives_soon_after_a_flood_of_large_ones() {
+    let outcome = beside_floods(1, 100_000, Priority::Data);
+    assert!(!outcome.during.is_empty());
+    for took in outcome.during.into_iter().chain(outcome.after) {
+        assert!(took < NEXT, "{took:?}");
+    }
+}
+
 #[test]
 fn urgent_messages_arrive_at_once_while_six_programs_flood() {
-    let outcome = beside_floods(6, Priority::RealTime);
+    let outcome = beside_floods(6, 128, Priority::RealTime);
     let slow = outcome.during.iter().filter(|took| **took > URGENT).count();
     // A busy machine may delay some of them.
     assert!(slow * 20 <= outcome.during.len(), "{:?}", outcome.during);

@@ -9,10 +9,10 @@ use std::{
 
 use crate::support::{
     answers, arrives, ask, ble, client, client_with, file, init, program, simulated, start,
-    start_with, Air, Wombat,
+    start_with, Air, Wombat, DEADLINE,
 };
 use serde_json::json;
-use zenoh::Session;
+use zenoh::{Session, Wait};
 
 /// Allows 12 sessions. 3 of them are reserved for Bluetooth; one login may have 5 of the other 9.
 const SESSIONS: [&str; 2] = ["--cfg", "transport/unicast/max_sessions:12"];
@@ -87,6 +87,40 @@ fn a_login_with_many_sessions_does_not_block_robots_and_other_logins() {
     answers(&laptop, "rect/wombat-1/@rect/connections/count", |count| {
         count["methods"]["tcp"]["connected"] == 6
     });
+}
+
+#[test]
+fn a_program_with_many_declarations_waits_and_is_reported() {
+    let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let folder = init(root.path(), "wombat-1", &[]);
+    let (mut router, endpoint) = start(&air, &folder, "wombat-1", "fleet");
+    let (greedy, other) = (program(&folder, &endpoint), program(&folder, &endpoint));
+    let declare = |number| {
+        let key = format!("rect/wombat-1/token/{number}");
+        let token = greedy.liveliness().declare_token(key).wait();
+        token.expect("a token")
+    };
+    let tokens: Vec<_> = (0..300).map(declare).collect();
+    let declared = || {
+        let tokens = other.liveliness().get("rect/wombat-1/token/*").wait();
+        tokens.expect("a query").into_iter().count()
+    };
+    // The first 200 pass at once, and 50 per second from then on.
+    let begun = Instant::now();
+    while declared() < tokens.len() {
+        assert!(begun.elapsed() < DEADLINE, "{} are declared", declared());
+    }
+    router.wait_for("declares more than 50 subscribers, services and tokens per second");
+    let status = ask(&other, "rect/wombat-1/@rect/status").expect("an answer");
+    let delayed = status["delayed_declarations"].as_u64();
+    assert!(
+        (50..=100).contains(&delayed.expect("a number")),
+        "{status:#}"
+    );
+    assert!(
+        arrives(&greedy, &other, "demo/x"),
+        "its messages still arrive"
+    );
 }
 
 #[test]

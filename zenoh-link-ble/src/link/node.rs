@@ -2,7 +2,6 @@
 use std::{
     collections::HashMap,
     sync::{Arc, Weak},
-    time::Duration,
 };
 
 use link_lanes::{hello::NodeId, secret::Secret};
@@ -21,14 +20,10 @@ use crate::{
     adapter::Adapter,
     link::{
         history::History, number::LinkNumber, open_links::OpenLinks, path::AcceptPaths,
-        reroute_holdoff::Holdoff, status::NodeStatus, table::LinkTable, LinkBle,
+        status::NodeStatus, table::LinkTable, LinkBle,
     },
     rejected_peers::RejectedPeers,
 };
-
-/// The longest reroute holdoff of a link, even if other links end one after the other. Zenoh's own limit for opening a link
-/// is 10 s.
-const MAX_HOLDOFF: Duration = Duration::from_secs(3);
 
 /// Opens the radio with that name, or the system's default one if the name is `None`.
 pub(crate) type OpenRadio =
@@ -45,8 +40,6 @@ pub(crate) struct Node {
     pub(crate) stop_dialling: CancellationToken,
     /// Notified whenever a link or a dial ends.
     pub(crate) link_ended: Notify,
-    /// Notified whenever Zenoh has released a link.
-    released: Notify,
     adapters: Mutex<HashMap<String, Arc<Adapter>>>,
     identities: Mutex<Vec<ListenerIdentity>>,
     history: Mutex<History>,
@@ -81,7 +74,6 @@ impl Node {
             intervals: Mutex::default(),
             stop_dialling: CancellationToken::new(),
             link_ended: Notify::new(),
-            released: Notify::new(),
             adapters: Mutex::default(),
             identities: Mutex::default(),
             history: Mutex::default(),
@@ -128,19 +120,30 @@ impl Node {
 
     /// Performs an action of the table of connection intervals, in a task of its own.
     pub(crate) fn perform(&self, action: Option<Action<LinkNumber>>) {
-        let Some(Action::Change(number, interval) | Action::Request(number, interval)) = action
-        else {
+        let Some(action) = action else {
             return;
         };
+        let (Action::Change(number, interval)
+        | Action::Announce(number, interval)
+        | Action::Request(number, interval)) = action;
         let Some(link) = self.open_links.lock().get(number) else {
             return;
         };
         match action {
-            Some(Action::Change(..)) => {
+            Action::Change(..) => {
                 tokio::spawn(async move { link.set_interval(interval).await });
             }
-            Some(Action::Request(..)) => link.send_interval(interval),
-            None => {}
+            Action::Announce(..) | Action::Request(..) => link.send_interval(interval),
+        }
+    }
+
+    /// Performs the actions that the table of connection intervals has for a new link.
+    pub(crate) fn perform_for_new_link(&self) {
+        let action = self.intervals().next_action();
+        self.perform(action);
+        if let Some(Action::Announce(..)) = action {
+            let action = self.intervals().next_action();
+            self.perform(action);
         }
     }
 
@@ -221,34 +224,6 @@ impl Node {
             adapter.scanner.clear_recent();
         }
         self.link_ended.notify_waiters();
-    }
-
-    /// Records that Zenoh has released a link, and notifies the links that wait for it.
-    pub(crate) fn on_link_released(&self, link: LinkNumber) {
-        let now = Instant::now().into_std();
-        self.link_table().on_released(link, now);
-        self.released.notify_waiters();
-    }
-
-    /// Waits until the link can be handed to Zenoh, at most [`MAX_HOLDOFF`]: see `reroute_holdoff`.
-    pub(crate) async fn wait_for_holdoff(&self, link: LinkNumber) {
-        let holdoff = async {
-            loop {
-                let released = self.released.notified();
-                let holdoff = self.link_table().on_ready(link, Instant::now().into_std());
-                match holdoff {
-                    Holdoff::Elapsed => return,
-                    Holdoff::Until(end) => tokio::time::sleep_until(end.into()).await,
-                    Holdoff::UntilReleased => released.await,
-                }
-            }
-        };
-        if tokio::time::timeout(MAX_HOLDOFF, holdoff).await.is_err() {
-            tracing::debug!(
-                "ble: links end in such quick succession that Zenoh may not declare its subscriptions on a new one"
-            );
-            self.link_table().on_handed_over(link);
-        }
     }
 
     /// Returns the adapter with that name. Without a name, it is the one that this node listens on, or else the system's

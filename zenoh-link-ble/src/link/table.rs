@@ -13,10 +13,7 @@ use link_lanes::hello::{Hello, NodeId, Refusal};
 use tokio_util::sync::CancellationToken;
 use zenoh_link_ble_radio::address::DeviceAddress;
 
-use crate::{
-    link::reroute_holdoff::{Holdoff, RerouteHoldoff},
-    locator::Target,
-};
+use crate::locator::Target;
 
 pub use crate::link::number::LinkNumber;
 
@@ -69,7 +66,6 @@ pub struct LinkTable {
     next: u64,
     established: HashMap<LinkNumber, EstablishedLink>,
     dials: HashMap<LinkNumber, Dial>,
-    reroute_holdoff: RerouteHoldoff,
 }
 
 impl LinkTable {
@@ -80,7 +76,6 @@ impl LinkTable {
             next: 1,
             established: HashMap::new(),
             dials: HashMap::new(),
-            reroute_holdoff: RerouteHoldoff::default(),
         }
     }
 
@@ -202,27 +197,6 @@ impl LinkTable {
     /// Removes a link that has ended.
     pub fn on_closed(&mut self, link: LinkNumber) {
         self.established.remove(&link);
-        self.reroute_holdoff.on_ended(link);
-    }
-
-    /// Returns what a new link has to wait for before it is handed to Zenoh. It counts as handed over if that is
-    /// [`Holdoff::Elapsed`].
-    pub fn on_ready(&mut self, link: LinkNumber, now: Instant) -> Holdoff {
-        let holdoff = self.reroute_holdoff.at(now);
-        if holdoff == Holdoff::Elapsed {
-            self.reroute_holdoff.on_handed_over(link);
-        }
-        holdoff
-    }
-
-    /// Records that a link was handed to Zenoh, even if it should have waited longer.
-    pub fn on_handed_over(&mut self, link: LinkNumber) {
-        self.reroute_holdoff.on_handed_over(link);
-    }
-
-    /// Records that Zenoh has released a link.
-    pub fn on_released(&mut self, link: LinkNumber, now: Instant) {
-        self.reroute_holdoff.on_released(link, now);
     }
 
     /// Returns whether there is a link with that target.
@@ -299,12 +273,11 @@ impl LinkTable {
 
     /// Ends links with an earlier run of the same peer, and links that the peer has evidently lost.
     fn replace_stale(&mut self, node: Option<NodeId>, name: &str, device: DeviceAddress) {
-        self.established.retain(|number, link| {
+        self.established.retain(|_, link| {
             let same_name = !name.is_empty() && link.name == name && link.device == device;
             let is_stale = same_name || link.is_with(node, device);
             if is_stale {
                 link.end.cancel();
-                self.reroute_holdoff.on_ended(*number);
             }
             !is_stale
         });

@@ -274,11 +274,6 @@ impl Traffic {
         self.state.lock().check()
     }
 
-    /// Waits until the link has ended.
-    pub(crate) async fn ended(&self) {
-        self.ended.cancelled().await;
-    }
-
     /// Sends what is queued and then the goodbye, and waits until the peer has read it and closes the channel. All of
     /// this takes at most `limit`.
     pub(crate) async fn finish(&self, limit: Duration) {
@@ -434,15 +429,11 @@ impl Traffic {
 
     /// Ends the link because of a violation by the peer.
     fn fail_for(&self, violation: Violation) {
-        let goodbye = match violation {
-            Violation::Sdu(error) if error.is_of_path() => Goodbye::LostOrDamaged,
-            _ => Goodbye::ProtocolError,
-        };
         let error = BleError::Protocol {
             peer: self.channel.peer(),
             what: violation.to_string(),
         };
-        self.fail(goodbye, error);
+        self.fail(violation.goodbye(), error);
     }
 
     /// Ends the link from this side: discards what is queued and sends `goodbye`. The receiving task does the rest. Only the
@@ -450,6 +441,7 @@ impl Traffic {
     fn fail(&self, goodbye: Goodbye, error: BleError) {
         let mut state = self.state.lock();
         if state.failure.is_none() {
+            self.close_once.end_here();
             state.failure = Some(error.into());
             state.lanes.abort(goodbye.code());
             self.failed.notify_one();

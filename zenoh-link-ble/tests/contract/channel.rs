@@ -1,12 +1,12 @@
 //! Contract of a radio's advertising, scanning and channels.
-use std::time::Duration;
+use std::{sync::Arc, time::Duration};
 
 use zenoh_link_ble_radio::{
     address::{Address, AddressType, DeviceAddress, Psm},
     ChannelOptions, RadioError, Security,
 };
 
-use super::{advertisement, channel_pair, channel_pair_with, Paced, World};
+use super::{advertisement, channel_pair, channel_pair_with, closing::disconnected, Paced, World};
 use crate::shared::{listener::OPTIONS, peer::within};
 
 pub async fn reports_an_advertisement_unchanged_and_repeatedly(world: World) {
@@ -239,6 +239,26 @@ pub async fn refuses_an_sdu_above_the_channels_limit(world: World) {
         matches!(refused, Err(RadioError::SduTooLarge { .. })),
         "{refused:?}"
     );
+}
+
+/// A peer that does not advertise while it is connected can be dialled again only after that.
+pub async fn connection_stays_open_until_it_is_closed(world: World) {
+    for closing in [&world.a, &world.b] {
+        let (near, far, _listener) = channel_pair(&world).await;
+        drop((near, far));
+        // Linux itself would close it two seconds after the last channel.
+        tokio::time::sleep(Duration::from_secs(4)).await;
+        assert!((world.is_connected)().await, "nobody has closed it");
+        let other = match Arc::ptr_eq(closing, &world.a) {
+            true => &world.b,
+            false => &world.a,
+        };
+        let peer = other.address().await.expect("has an address");
+        within("closing", closing.disconnect(peer)).await;
+        disconnected(&world).await;
+        // There is nothing to close.
+        within("closing again", closing.disconnect(peer)).await;
+    }
 }
 
 /// BlueZ's sockets, and bluer with them, report too early that they are connected. An SDU that is sent immediately

@@ -1,7 +1,5 @@
 //! Contract between Zenoh and a `ble` link.
-use std::time::Duration;
 
-use tokio::time::Instant;
 use zenoh_link_commons::LinkManagerUnicastTrait;
 
 use super::World;
@@ -75,31 +73,6 @@ pub async fn reconnects_after_a_close_by_either_side(world: World) {
             within("closing", async { tokio::join!(closing.close(), reading) }).await;
         closed.expect("closes");
     }
-}
-
-pub async fn new_link_waits_until_zenoh_released_the_ended_one(world: World) {
-    let b = Peer::on(&world.b).listen_as("name=wombat-2").await;
-    let a = Peer::on(&world.a);
-    let near = a.dial("ble/wombat-2").await.expect("dials");
-    let ended = b.incoming().await;
-    let reading = async {
-        let end = ended.read(&mut [0; 2000], None).await;
-        assert!(end.is_err(), "the other side detects the end");
-    };
-    within("closing", async { tokio::join!(near.close(), reading) })
-        .await
-        .0
-        .expect("closes");
-
-    let near = a.dial("ble/wombat-2").await.expect("dials");
-    tokio::time::sleep(Duration::from_millis(500)).await;
-    assert!(b.no_more_incoming(), "Zenoh still holds the ended link");
-    ended.close().await.expect("closes");
-    let released = Instant::now();
-    let far = b.incoming().await;
-    // Zenoh computes its routes at most every 100 ms, and may start late.
-    assert!(released.elapsed() >= Duration::from_millis(200));
-    assert_delivers(&near, &far, b"there").await;
 }
 
 pub async fn delivers_batches_sent_before_close(world: World) {

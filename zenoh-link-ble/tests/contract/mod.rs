@@ -1,6 +1,7 @@
 //! Defines the link contract: the tests that every radio must pass. `sim/link_contract.rs` runs it on the simulated air in
 //! virtual time, `contract_bluez.rs` on the Bluetooth stack of the kernel (in the VM: `tests/vm/test`).
 pub mod channel;
+pub mod closing;
 pub mod flooding;
 pub mod handshake;
 pub mod handshake_flood;
@@ -10,6 +11,7 @@ pub mod secret;
 
 use std::sync::Arc;
 
+use futures::future::BoxFuture;
 use zenoh_link_ble_radio::{address::Psm, Channel, ChannelListener, ChannelOptions, Radio};
 
 use crate::shared::{listener::OPTIONS, peer::within};
@@ -20,6 +22,8 @@ pub struct World {
     pub b: Arc<dyn Radio>,
     /// Drops all connections between them, as if they went out of range, without a message from either side.
     pub lose_links: Box<dyn Fn() + Send + Sync>,
+    /// Returns whether there is a connection between them, with or without channels.
+    pub is_connected: Box<dyn Fn() -> BoxFuture<'static, bool> + Send + Sync>,
     /// Limits the rate of both radios, in bytes per second; 0: no limit. The simulated air always has its own rate.
     pub set_pace: Box<dyn Fn(u32) + Send + Sync>,
     /// Whether the time is virtual: a busy computer misses nothing.
@@ -103,17 +107,22 @@ macro_rules! for_each_scenario {
             can_send_immediately_after_connect: channel,
             pairs_two_unknown_devices_for_an_encrypted_channel: channel,
             refuses_an_sdu_above_the_channels_limit: channel,
+            connection_stays_open_until_it_is_closed: channel,
             dials_by_name_and_delivers_batches_in_both_directions: link,
             dials_by_address: link,
             two_nodes_that_dial_each_other_make_one_link: link,
             reconnects_after_a_close_by_either_side: link,
-            new_link_waits_until_zenoh_released_the_ended_one: link,
             delivers_batches_sent_before_close: link,
             an_empty_write_does_not_end_the_link: link,
             uses_the_smaller_mtu_of_both_sides: link,
             error_names_a_peer_that_does_not_advertise: link,
             rejects_a_second_listener_with_the_same_name: link,
             listener_can_be_deleted_and_started_again: link,
+            dialler_closes_the_connection_after_the_peer_has_ended_the_link: closing,
+            dialler_closes_the_connection_after_a_refusal: closing,
+            side_that_ends_a_link_closes_its_connection: closing,
+            listener_closes_the_connection_of_a_peer_that_it_refuses: closing,
+            connection_stays_open_while_another_link_uses_it: closing,
             accepts_a_plain_peer_without_a_hello: misbehaving,
             mtu_of_a_plain_link_is_limited_by_the_channel: handshake,
             refuses_an_invalid_hello_with_the_reason: handshake,
@@ -142,6 +151,8 @@ macro_rules! for_each_scenario {
             rejects_an_impostor_with_the_name_of_a_robot: secret,
             refuses_a_replayed_handshake: secret,
             refuses_anything_but_a_sealed_hello: secret,
+            refuses_an_invalid_sealed_hello_with_the_reason: secret,
+            accepts_no_other_version_of_a_key_answer: secret,
             refuses_a_hello_without_keys: secret,
             forged_sdu_ends_an_encrypted_link: secret,
             does_not_dial_a_plain_listener_with_a_secret: secret,

@@ -4,9 +4,9 @@ use std::sync::Arc;
 
 use link_lanes::{
     goodbye::Goodbye,
-    hello::{HandshakeMessage, Key, Refusal, VERSION},
-    key_agreement::{Initiator, KEY_MESSAGE_BYTES},
-    lanes::{sdu::Content, Lane},
+    hello::{HandshakeMessage, Hello, Key, Refusal, MIN_MTU, VERSION},
+    key_agreement::{respond, Initiator, KEY_MESSAGE_BYTES},
+    lanes::{credits::MIN_WINDOW, sdu::Content, Lane},
     sealed_message,
     secret::Secret,
 };
@@ -226,6 +226,77 @@ pub async fn refuses_anything_but_a_sealed_hello(world: World) {
         assert_eq!(refusal, HandshakeMessage::Refuse(Refusal::Secret), "{what}");
     }
     assert!(b.no_more_incoming());
+}
+
+/// A peer that has sealed its hello has the secret, so the reason is another one, and is sealed.
+pub async fn refuses_an_invalid_sealed_hello_with_the_reason(world: World) {
+    let file = File::with(OURS);
+    let listener = format!("name=wombat-2;{}", file.option());
+    let b = Peer::on(&world.b).listen_as(&listener).await;
+    let with = |change: fn(&mut Hello)| {
+        let mut hello = hello(6, "wombat-3");
+        change(&mut hello);
+        HandshakeMessage::Hello(hello)
+    };
+    for (what, message, refusal) in [
+        (
+            "an older version",
+            with(|hello| hello.version = VERSION - 1),
+            Refusal::Version,
+        ),
+        (
+            "its mtu",
+            with(|hello| hello.mtu = MIN_MTU - 1),
+            Refusal::Malformed,
+        ),
+        (
+            "its window",
+            with(|hello| hello.window = MIN_WINDOW - 1),
+            Refusal::Malformed,
+        ),
+        (
+            "another message",
+            HandshakeMessage::Accept(hello(6, "wombat-3")),
+            Refusal::Malformed,
+        ),
+    ] {
+        let channel = raw_channel(&world.a, &world.b).await;
+        let mut keys = agree(&channel, &ours()).await;
+        let sealed = sealed_message::seal(&mut keys, &message);
+        channel.send(&sealed).await.expect("sends");
+        let refused = receive_sealed(&channel, &mut keys).await;
+        assert_eq!(refused, HandshakeMessage::Refuse(refusal), "{what}");
+    }
+    assert!(b.no_more_incoming());
+}
+
+pub async fn accepts_no_other_version_of_a_key_answer(world: World) {
+    let file = File::with(OURS);
+    let listener = world.b.listen(None, OPTIONS).await.expect("listens");
+    let advertised = advertisement(listener.psm(), "wombat-2");
+    let _advertising = world.b.advertise(&advertised, "wombat-2").await;
+    let answering = async {
+        let channel = listener.accept().await.expect("accepts");
+        let HandshakeMessage::Key(key) = receive_message(&channel).await else {
+            panic!("a dialler with a secret begins with its key");
+        };
+        let answered = respond(&ours(), &Key::header(VERSION), &key.message);
+        let (message, _) = answered.expect("answers");
+        let version = VERSION + 1;
+        send_message(
+            &channel,
+            &HandshakeMessage::KeyAnswer(Key { version, message }),
+        )
+        .await;
+        let more = within("the end", channel.recv(&mut [0; 200])).await;
+        assert!(more.is_err(), "the dialler sends nothing more");
+    };
+    let a = Peer::on(&world.a);
+    let locator = format!("ble/wombat-2#{}", file.option());
+    let (dialled, ()) = tokio::join!(a.dial(&locator), answering);
+    let error = dialled.expect_err("the dial fails").to_string();
+    let reason = format!("it chose version {}", VERSION + 1);
+    assert!(error.contains(&reason), "{error}");
 }
 
 /// Neither side falls back to a link without encryption, whatever it is offered.

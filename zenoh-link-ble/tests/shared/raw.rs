@@ -10,7 +10,7 @@ use link_lanes::{
     },
 };
 use zenoh_link_ble::locator::DEFAULT_MTU;
-use zenoh_link_ble_radio::{Channel, ChannelOptions, Radio};
+use zenoh_link_ble_radio::{Channel, ChannelOptions, Radio, RadioError};
 
 use super::{
     listener::{psm_of, OPTIONS},
@@ -33,9 +33,16 @@ pub async fn raw_channel_with(
 ) -> Arc<dyn Channel> {
     let psm = psm_of(from, to).await;
     let to = to.address().await.expect("has an address");
-    within("connecting", from.connect(to, psm, options))
-        .await
-        .expect("connects")
+    within("connecting", async {
+        loop {
+            match from.connect(to, psm, options).await {
+                // The listener is closing the connection of an earlier channel.
+                Err(RadioError::ChannelDown { .. }) => {}
+                connected => return connected.expect("connects"),
+            }
+        }
+    })
+    .await
 }
 
 /// Returns a valid hello.
@@ -90,6 +97,19 @@ impl RawPeer {
             panic!("{answer:?}");
         };
         Self::on(channel, window, Protection::checks())
+    }
+
+    /// Accepts a dial on a channel. Returns the dialler's hello, too.
+    pub async fn accept(channel: Arc<dyn Channel>, own: Hello) -> (Self, Hello) {
+        let mut buffer = [0; 200];
+        let received = within("the hello", channel.recv(&mut buffer)).await;
+        let message = HandshakeMessage::decode(&buffer[..received.expect("receives")]);
+        let Ok(HandshakeMessage::Hello(peer)) = message else {
+            panic!("{message:?}");
+        };
+        let accept = HandshakeMessage::Accept(own).encode();
+        channel.send(&accept).await.expect("sends");
+        (Self::on(channel, peer.window, Protection::checks()), peer)
     }
 
     /// Takes over a channel after the handshake, in which the listener announced `window`.

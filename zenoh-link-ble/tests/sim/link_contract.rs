@@ -11,6 +11,13 @@ async fn world(condition: Condition) -> World {
     World {
         a: air.radio("sim-a").await.expect("attaches"),
         b: air.radio("sim-b").await.expect("attaches"),
+        is_connected: {
+            let air = air.clone();
+            Box::new(move || {
+                let is_connected = !air.status().links.is_empty();
+                Box::pin(async move { is_connected })
+            })
+        },
         lose_links: Box::new(move || air.cut()),
         set_pace: Box::new(|_| ()),
         is_simulated: true,

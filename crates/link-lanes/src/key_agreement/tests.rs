@@ -4,7 +4,10 @@ use std::convert::Infallible;
 use serde::Deserialize;
 
 use super::*;
-use crate::hello::{HandshakeMessage, Key, VERSION};
+use crate::{
+    hello::{HandshakeMessage, Key, VERSION},
+    vectors::bytes,
+};
 
 fn secret(text: &str) -> Secret {
     Secret::new(text.as_bytes()).expect("long enough")
@@ -89,6 +92,26 @@ struct Vectors {
     export_path: String,
     dialler: Vec<Sdu>,
     listener: Vec<Sdu>,
+    low_order: LowOrder,
+    tcp: Tcp,
+}
+
+/// A key agreement in which the dialler's public key is zero. It leads to keys, because only the secret proves anything.
+#[derive(Deserialize)]
+struct LowOrder {
+    key: String,
+    key_answer: String,
+    /// The first SDU of the dialler.
+    hello: String,
+}
+
+/// The key agreement of an `any` link that begins on TCP.
+#[derive(Deserialize)]
+struct Tcp {
+    key: String,
+    key_answer: String,
+    any_key: String,
+    any_tag: String,
 }
 
 /// An SDU before and after it is sealed.
@@ -98,19 +121,61 @@ struct Sdu {
     sealed: String,
 }
 
-fn bytes(hex: &str) -> Vec<u8> {
-    let digit = |at: usize| u8::from_str_radix(&hex[at..at + 2], 16).expect("hexadecimal");
-    (0..hex.len()).step_by(2).map(digit).collect()
-}
-
 fn array(hex: &str) -> Derived {
     bytes(hex).try_into().expect("32 bytes")
 }
 
+fn vectors() -> Vectors {
+    let text = include_str!("../../vectors/keys.json");
+    serde_json::from_str(text).expect("valid")
+}
+
+/// Returns the message in KEY or KEY ANSWER.
+fn message_of(sdu: &str) -> KeyMessage {
+    match HandshakeMessage::decode(&bytes(sdu)) {
+        Ok(HandshakeMessage::Key(key) | HandshakeMessage::KeyAnswer(key)) => key.message,
+        other => panic!("{sdu}: {other:?}"),
+    }
+}
+
+#[test]
+fn key_of_low_order_is_answered() {
+    let vectors = vectors();
+    let (own, answering) = (secret(&vectors.secret), array(&vectors.listener_ephemeral));
+    let key = message_of(&vectors.low_order.key);
+    assert_eq!(key[..32], [0; 32]);
+    let answered = respond_with(&own, &header(), &key, Some(&answering));
+    let (answer, mut agreed) = answered.expect("answers");
+    assert_eq!(answer, message_of(&vectors.low_order.key_answer));
+    let mut hello = bytes(&vectors.low_order.hello);
+    assert!(agreed.keys.opening.open(&mut hello).is_ok());
+}
+
+#[test]
+fn key_agreement_on_tcp_has_another_header() {
+    let vectors = vectors();
+    let own = secret(&vectors.secret);
+    let ephemerals = [&vectors.dialler_ephemeral, &vectors.listener_ephemeral];
+    let [ephemeral, answering] = ephemerals.map(|hex| array(hex));
+    let header = [&b"RECTM\x01"[..], &header()].concat();
+    let started = Initiator::start_with(&own, &header, Some(&ephemeral));
+    let (initiator, message) = started.expect("starts");
+    assert_eq!(message, message_of(&vectors.tcp.key));
+    let answered = respond_with(&own, &header, &message, Some(&answering));
+    let (answer, _) = answered.expect("answers");
+    assert_eq!(answer, message_of(&vectors.tcp.key_answer));
+    let agreed = initiator.finish(&answer).expect("the same secret");
+    for (label, key) in [
+        ("any key", vectors.tcp.any_key),
+        ("any tag", vectors.tcp.any_tag),
+    ] {
+        assert_eq!(agreed.exporter.key(label), array(&key));
+    }
+}
+
 #[test]
 fn agrees_with_an_independent_implementation() {
-    let text = include_str!("../../vectors/version-2.json");
-    let vectors: Vectors = serde_json::from_str(text).expect("valid");
+    let vectors = vectors();
     let own = secret(&vectors.secret);
     assert_eq!(own.pre_shared_key(), array(&vectors.pre_shared_key));
     let ephemerals = [&vectors.dialler_ephemeral, &vectors.listener_ephemeral];

@@ -1,9 +1,10 @@
 //! Decides when a lane accepts another message. The time that the messages on a lane wait to be sent is bounded, so that a
 //! flood of small messages does not delay the next message of the same priority for minutes.
 //!
-//! A message of more than [`LARGE_MESSAGE_BYTES`] that must arrive is exempt: all its fragments are accepted at once,
-//! because Zenoh closes a link that does not accept a message within `wait_before_close`. In addition, `scheduler` bounds
-//! the number of bytes on all lanes together.
+//! A message of more than [`LARGE_MESSAGE_BYTES`] that must arrive does not count: all its fragments are accepted at once,
+//! because Zenoh closes a link that does not accept a message within `wait_before_close`. The next message of several fragments
+//! begins when nearly all of it was sent, so there is at most one such message on a lane. In addition, `scheduler` bounds the number
+//! of bytes on all lanes together.
 use std::{
     collections::VecDeque,
     time::{Duration, Instant},
@@ -93,7 +94,7 @@ impl Backlog {
         self.bytes
     }
 
-    /// Returns whether the lane accepts a batch of that kind behind `waiting_bytes` bytes of any kind.
+    /// Returns whether the lane accepts a batch of that kind behind `waiting_bytes` bytes of any kind that were not sent.
     pub fn accepts(
         &self,
         kind: BatchKind,
@@ -108,7 +109,7 @@ impl Backlog {
                     true => {
                         waiting_bytes <= limits.droppable_bytes && self.bytes < limits.backlog_bytes
                     }
-                    false => self.has_room(kind, limits.backlog_bytes),
+                    false => self.has_room(kind, waiting_bytes, limits.backlog_bytes),
                 }
             }
         };
@@ -160,13 +161,13 @@ impl Backlog {
         }
     }
 
-    /// Returns whether the lane has room for a batch of a message that must arrive. A message of several fragments brings up
-    /// to [`LARGE_MESSAGE_BYTES`] once its first fragment is accepted, so it begins only when few bytes wait.
-    fn has_room(&self, kind: BatchKind, limit_bytes: usize) -> bool {
+    /// Returns whether the lane has room for a batch of a message that must arrive. A message of several fragments brings any
+    /// number of bytes once its first fragment is accepted, so it begins only when few bytes wait, also of a large message.
+    fn has_room(&self, kind: BatchKind, waiting_bytes: usize, limit_bytes: usize) -> bool {
         match kind {
             BatchKind::NextFragment => true,
             BatchKind::Whole { .. } => self.bytes < limit_bytes,
-            BatchKind::FirstFragment { .. } => self.bytes < MIN_LIMIT_BYTES,
+            BatchKind::FirstFragment { .. } => self.bytes.max(waiting_bytes) < MIN_LIMIT_BYTES,
         }
     }
 
@@ -266,13 +267,18 @@ mod tests {
         let (mut backlog, now) = (Backlog::default(), Instant::now());
         let limit_bytes = 34_000;
         backlog.on_accepted(WHOLE, MIN_LIMIT_BYTES - 1, now);
-        assert!(backlog.has_room(FIRST, limit_bytes));
+        assert!(backlog.has_room(FIRST, 0, limit_bytes));
+        assert!(
+            !backlog.has_room(FIRST, MIN_LIMIT_BYTES, limit_bytes),
+            "behind a large message"
+        );
+        assert!(backlog.has_room(WHOLE, 1_000_000, limit_bytes));
         backlog.on_accepted(WHOLE, 1, now);
-        assert!(!backlog.has_room(FIRST, limit_bytes));
-        assert!(backlog.has_room(BatchKind::NextFragment, limit_bytes));
-        assert!(backlog.has_room(WHOLE, limit_bytes));
+        assert!(!backlog.has_room(FIRST, 0, limit_bytes));
+        assert!(backlog.has_room(BatchKind::NextFragment, 0, limit_bytes));
+        assert!(backlog.has_room(WHOLE, 0, limit_bytes));
         backlog.on_accepted(WHOLE, limit_bytes - MIN_LIMIT_BYTES, now);
-        assert!(!backlog.has_room(WHOLE, limit_bytes));
+        assert!(!backlog.has_room(WHOLE, 0, limit_bytes));
     }
 
     #[test]

@@ -2,6 +2,8 @@
 //! restarts lanes, which bounds the memory that unread batches occupy.
 use std::collections::VecDeque;
 
+use crate::goodbye::Goodbye;
+
 use super::{
     credits::{cost, Acks, CreditError},
     report::{Count, InLaneReport},
@@ -42,6 +44,16 @@ pub enum Violation {
     /// An SDU arrived after the goodbye.
     #[error("it sent an sdu after the goodbye")]
     AfterGoodbye,
+}
+
+impl Violation {
+    /// Returns the reason with which this side ends the link.
+    pub fn goodbye(&self) -> Goodbye {
+        match self {
+            Self::Sdu(error) if error.is_of_path() => Goodbye::LostOrDamaged,
+            _ => Goodbye::ProtocolError,
+        }
+    }
 }
 
 /// The content of a received SDU, after its batch was queued.

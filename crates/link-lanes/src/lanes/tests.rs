@@ -2,6 +2,7 @@
 mod attacks;
 mod backlog;
 mod misbehaving;
+mod vectors;
 
 use std::{
     convert::Infallible,

@@ -10,8 +10,10 @@ use rect::{Pattern, Robot, Subscriber};
 use rect_core::{message::encoding::Encoding, registry::topics::Topics};
 use rect_recording::{
     entry::{since_1970, Entry},
-    picture::Kind,
-    view::View,
+    inferred::Inferred,
+    picture::{self, Kind},
+    schema,
+    view::{View, JSON},
 };
 use tokio::task::JoinSet;
 
@@ -148,18 +150,27 @@ struct Shown {
     context: Arc<Context>,
     topic: String,
     channel: Arc<RawChannel>,
+    /// The common shape of the objects of the topic.
+    inferred: Inferred,
+    /// How often the schema had changed when the channel was created.
+    version: u8,
     changed: Option<Instant>,
-    last: Option<Vec<u8>>,
+    last: Option<View>,
 }
 
 impl Shown {
     /// Creates the channel of a topic, whose messages are not known yet.
     fn new(context: &Arc<Context>, topic: &str, kind: Option<Kind>) -> Option<Self> {
-        let view = kind.map(|kind| View::Picture(kind, Vec::new()));
+        let channel = match kind {
+            Some(kind) => channel(context, topic, picture::PROTOBUF, Some(kind.schema())),
+            None => channel(context, topic, JSON, None),
+        };
         Some(Self {
-            channel: channel(context, topic, view.as_ref())?,
+            channel: channel?,
             context: context.clone(),
             topic: topic.to_owned(),
+            inferred: Inferred::default(),
+            version: 0,
             changed: None,
             last: None,
         })
@@ -168,40 +179,55 @@ impl Shown {
     /// Shows a message. Its form may require another channel, which viewers select by themselves.
     fn show(&mut self, entry: &Entry) {
         let view = View::of(entry);
-        let fits = self.channel.message_encoding() == view.encoding();
-        if !fits || self.channel.schema().is_none() {
+        let version = match &view {
+            View::Picture(..) => 0,
+            View::Object(_, text) => self.inferred.add(text),
+        };
+        let is_encoding = self.channel.message_encoding() == view.encoding();
+        if !is_encoding || self.version != version {
             let now = Instant::now();
             let is_late = |at| now.duration_since(at) >= CHANGED_AT_MOST_EVERY;
             let changes = self.changed.is_none_or(is_late);
-            let channel = changes.then(|| channel(&self.context, &self.topic, Some(&view)));
-            let Some(channel) = channel.flatten() else {
-                return;
+            let schema = || match &view {
+                View::Picture(kind, _) => kind.schema(),
+                View::Object(..) => self.inferred.schema(&self.topic),
             };
-            self.channel.close();
-            (self.channel, self.changed) = (channel, Some(now));
+            let (context, topic) = (&self.context, &self.topic);
+            let channel = changes.then(|| channel(context, topic, view.encoding(), Some(schema())));
+            match channel.flatten() {
+                Some(channel) => {
+                    self.channel.close();
+                    (self.channel, self.version) = (channel, version);
+                    self.changed = Some(now);
+                }
+                None if !is_encoding => return,
+                // Viewers show it, but do not offer its new fields yet.
+                None => {}
+            }
         }
-        let bytes = view.into_bytes();
-        self.channel.log(&bytes);
-        self.last = Some(bytes);
+        self.channel.log(view.message());
+        self.last = Some(view);
     }
 
     /// Shows the last message to a viewer that has just begun to show the topic.
     fn repeat(&self, viewer: SinkId) {
         if let Some(last) = &self.last {
-            self.channel.log_to_sink(last, Some(viewer));
+            self.channel.log_to_sink(last.message(), Some(viewer));
         }
     }
 }
 
-/// Creates the channel of a topic for messages in the form of `view`; without one, for JSON of unknown form.
-fn channel(context: &Arc<Context>, topic: &str, view: Option<&View>) -> Option<Arc<RawChannel>> {
-    let schema = view.map(|view| {
-        let schema = view.schema(topic);
-        Schema::new(schema.name, schema.encoding, schema.text)
-    });
+/// Creates the channel of a topic. Without a schema, the form of its messages is not known yet.
+fn channel(
+    context: &Arc<Context>,
+    topic: &str,
+    encoding: &str,
+    schema: Option<schema::Schema>,
+) -> Option<Arc<RawChannel>> {
+    let schema = schema.map(|schema| Schema::new(schema.name, schema.encoding, schema.text));
     let channel = ChannelBuilder::new(format!("/{topic}"))
         .context(context)
-        .message_encoding(view.map_or("json", View::encoding))
+        .message_encoding(encoding)
         .schema(schema)
         .build_raw();
     if let Err(error) = &channel {

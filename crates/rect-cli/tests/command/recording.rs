@@ -40,6 +40,7 @@ fn entry(sequence: u32) -> Entry {
         publisher: (kind == 0).then_some(7),
         logged,
         sent: logged - Duration::from_millis(3),
+        foreign: None,
     }
 }
 

@@ -3,7 +3,8 @@
 //! A message contains the time of sending by its sender's clock. The receiver's clock minus that time is the sum of the
 //! clocks' offset and the time in transit. The smallest such difference of a source belongs to its fastest message; what
 //! another message took longer is its age, except for the time that the fastest one took. Both clocks are those of processes:
-//! no clock is compared with that of another robot.
+//! no clock is compared with that of another robot. A difference counts only when a second message confirms it, so that one
+//! message with a wrong clock, which other programs of the robot may send, affects no other message.
 use std::time::{Duration, Instant};
 
 use crate::clock::{fastest::Fastest, MillisecondClock};
@@ -31,12 +32,13 @@ impl Ages {
         own: MillisecondClock,
         now: Instant,
     ) -> Duration {
-        if !is_late && sent_ms < self.last_sent_ms {
-            // Messages are sent one after another, so the sender's clock was set.
-            self.fastest.clear();
+        if !is_late {
+            if sent_ms < self.last_sent_ms {
+                // Messages are sent one after another, so the sender's clock was set.
+                self.fastest.clear();
+            }
             self.last_sent_ms = sent_ms;
         }
-        self.last_sent_ms = self.last_sent_ms.max(sent_ms);
         let difference = (own.at(now) as i64).wrapping_sub(sent_ms as i64);
         self.fastest.add(difference, now);
         self.fastest.keep_last(PARTS);
@@ -81,6 +83,7 @@ mod tests {
         let mut messages = Messages::new();
         assert_eq!(messages.age(0, 50, 0), ms(0), "nothing is known yet");
         assert_eq!(messages.age(100, 110, 0), ms(0), "the fastest one");
+        assert_eq!(messages.age(150, 160, 0), ms(0), "as fast");
         assert_eq!(messages.age(200, 230, 0), ms(20));
         // A cut of an hour, during which messages wait.
         assert_eq!(messages.age(300, 3_600_310, 0), ms(3_600_000));

@@ -8,6 +8,7 @@ use std::{
 use super::{
     attachment::{Attachment, Sent},
     expiry::Ages,
+    sequence::{Order, Sequence},
 };
 use crate::{clock::MillisecondClock, name::Name};
 
@@ -38,7 +39,7 @@ pub struct SenderCounts {
 
 #[derive(Debug)]
 struct Source {
-    last: u32,
+    sequence: Sequence,
     last_used: u64,
     ages: Ages,
 }
@@ -84,34 +85,42 @@ impl Gaps {
             self.make_room();
         }
         let sender = sender_of(&mut self.senders, &mut self.sources, robot);
-        let sequence = attachment.sequence;
-        let mut arrival = Arrival::default();
+        let number = attachment.sequence;
         let source = sender.sources.entry(attachment.source).or_insert_with(|| {
             self.sources += 1;
             Source {
                 // Messages that were sent before the subscription are not missed.
-                last: sequence.wrapping_sub(1),
+                sequence: Sequence::new(number.wrapping_sub(1)),
                 last_used,
                 ages: Ages::default(),
             }
         });
         source.last_used = last_used;
-        let ahead = sequence.wrapping_sub(source.last);
-        if ahead == 0 || ahead > u32::MAX / 2 {
-            arrival.late = true;
-        } else {
-            source.last = sequence;
-            arrival.missed = ahead - 1;
-        }
+        let order = source.sequence.on_message(number);
+        let missed = match order {
+            Order::Next { missed } => missed,
+            _ => 0,
+        };
+        let mut arrival = Arrival {
+            missed,
+            late: !matches!(order, Order::Next { .. }),
+            age: Duration::ZERO,
+        };
         if let (Sent::At(sent_ms), Some(now)) = (attachment.sent, now) {
             arrival.age = (source.ages).on_message(sent_ms, arrival.late, self.own, now);
         }
         let counts = &mut sender.counts;
         counts.received += 1;
-        if arrival.late {
-            counts.missed = counts.missed.saturating_sub(1);
-        }
-        counts.missed += u64::from(arrival.missed);
+        let found = match order {
+            Order::Next { .. } => 0,
+            Order::Repeated | Order::Late => 1,
+            Order::Renumbered { miscounted } => {
+                // The message with the wrong number may have had a wrong time, too.
+                source.ages = Ages::default();
+                u64::from(miscounted)
+            }
+        };
+        counts.missed = counts.missed.saturating_sub(found) + u64::from(missed);
         arrival
     }
 
@@ -227,6 +236,17 @@ mod tests {
         let (mut gaps, a) = (gaps(), name("a"));
         on_message(&mut gaps, &a, 1, u32::MAX - 1);
         assert_eq!(on_message(&mut gaps, &a, 1, 1).missed, 2);
+    }
+
+    #[test]
+    fn one_number_far_ahead_is_neither_missed_nor_makes_later_messages_late() {
+        let (mut gaps, a) = (gaps(), name("a"));
+        on_message(&mut gaps, &a, 1, 0);
+        on_message(&mut gaps, &a, 1, 1 << 30);
+        let late = (1..100).filter(|&n| on_message(&mut gaps, &a, 1, n).late);
+        assert_eq!(late.count(), 8);
+        let (_, counts) = gaps.counts_by_sender().next().expect("one sender");
+        assert_eq!((counts.received, counts.missed), (101, 0));
     }
 
     #[test]

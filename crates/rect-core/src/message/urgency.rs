@@ -71,11 +71,11 @@ impl Urgency {
     }
 
     /// Returns the urgency of a message that arrived with a priority of Zenoh. Other Zenoh programs may use any
-    /// priority.
+    /// priority. Routers send large normal messages with `DataLow` (`qos/network` in `config/robot.json5`).
     pub fn from_priority(priority: u8) -> Self {
         match priority {
             0..=3 => Self::Urgent,
-            4..=5 => Self::Normal,
+            4..=6 => Self::Normal,
             _ => Self::Bulk,
         }
     }
@@ -105,6 +105,7 @@ mod tests {
         for urgency in [Urgency::Urgent, Urgency::Normal, Urgency::Bulk] {
             assert_eq!(Urgency::from_priority(urgency.qos().priority), urgency);
         }
+        assert_eq!(Urgency::from_priority(6), Urgency::Normal);
         assert!(Urgency::Normal.qos().drop_when_congested().droppable);
     }
 }

@@ -7,6 +7,8 @@ use std::{
 
 use serde::{Deserialize, Serialize};
 
+use crate::message::sequence::{Order, Sequence};
+
 /// The time before a question over which rates are measured.
 pub const WINDOW: Duration = Duration::from_secs(5);
 /// The maximum number of topics that are counted individually. For further topics, only their existence is reported.
@@ -145,7 +147,7 @@ struct Counted {
     last_bytes: u64,
     last: Option<Instant>,
     /// The last sequence number of each publisher.
-    sequences: BTreeMap<u16, u32>,
+    sequences: BTreeMap<u16, Sequence>,
     lost: u64,
 }
 
@@ -262,18 +264,19 @@ impl Counted {
 
     /// Counts the messages of a publisher that are missing before this one. One that was overtaken is missing no more.
     fn on_sequence(&mut self, publisher: u16, sequence: u32) {
-        let Some(last) = self.sequences.get_mut(&publisher) else {
+        let Some(known) = self.sequences.get_mut(&publisher) else {
             if self.sequences.len() < MAX_PUBLISHERS {
-                self.sequences.insert(publisher, sequence);
+                self.sequences.insert(publisher, Sequence::new(sequence));
             }
             return;
         };
-        let ahead = sequence.wrapping_sub(*last);
-        if ahead > u32::MAX / 2 {
-            self.lost = self.lost.saturating_sub(1);
-        } else if ahead > 0 {
-            self.lost += u64::from(ahead - 1);
-            *last = sequence;
+        match known.on_message(sequence) {
+            Order::Next { missed } => self.lost += u64::from(missed),
+            Order::Repeated => {}
+            Order::Late => self.lost = self.lost.saturating_sub(1),
+            Order::Renumbered { miscounted } => {
+                self.lost = self.lost.saturating_sub(miscounted.into());
+            }
         }
     }
 

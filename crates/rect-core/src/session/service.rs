@@ -25,14 +25,18 @@ pub struct Requester {
 }
 
 impl Requester {
-    /// Reads the attachment of a request.
-    pub fn of(attachment: Option<&[u8]>) -> Self {
+    /// Returns the sender of a query with that key expression and attachment. `None` if the query is not a request: a stock Zenoh
+    /// program that looks around with wildcards (`rect/**`, or a REST `GET`) does not mean to run every service of the fleet.
+    pub fn of(key: &str, attachment: Option<&[u8]>) -> Option<Self> {
         let header = attachment.and_then(RequestHeader::decode);
+        if header.is_none() && key.contains('*') {
+            return None;
+        }
         let timeout_ms = header.as_ref().map_or(DEFAULT_TIMEOUT_MS, |h| h.timeout_ms);
-        Self {
+        Some(Self {
             robot: header.map(|header| header.sender),
             timeout: Duration::from_millis(timeout_ms.into()),
-        }
+        })
     }
 }
 
@@ -46,10 +50,12 @@ pub fn busy(robot: &Name) -> Payload {
 mod tests {
     use super::*;
 
+    const KEY: &str = "rect/wombat-2/battery";
+
     #[test]
     fn requests_of_stock_programs_have_the_default_timeout() {
-        let stock = Requester::of(Some(b"?"));
-        assert_eq!(stock, Requester::of(None));
+        let stock = Requester::of(KEY, Some(b"?")).expect("a request");
+        assert_eq!(Some(&stock), Requester::of(KEY, None).as_ref());
         assert_eq!(
             (stock.robot, stock.timeout),
             (None, Duration::from_secs(10))
@@ -63,9 +69,22 @@ mod tests {
             sender: sender.clone(),
             timeout_ms: 1500,
         };
-        let requester = Requester::of(Some(&header.encode()));
         let timeout = Duration::from_millis(1500);
         let robot = Some(sender);
-        assert_eq!(requester, Requester { robot, timeout });
+        let requester = Requester { robot, timeout };
+        // A request to the services of all robots has a wildcard.
+        for key in [KEY, "rect/*/battery"] {
+            let read = Requester::of(key, Some(&header.encode()));
+            assert_eq!(read.as_ref(), Some(&requester), "{key}");
+        }
+    }
+
+    #[test]
+    fn query_with_wildcards_of_a_stock_program_is_not_a_request() {
+        for key in ["rect/**", "rect/*/battery", "rect/wombat-2/bat$*", "**"] {
+            for attachment in [None, Some(&b"?"[..])] {
+                assert_eq!(Requester::of(key, attachment), None, "{key}");
+            }
+        }
     }
 }

@@ -95,6 +95,8 @@ pub struct Receiver {
     replies: u32,
     query_at: Instant,
     last: Option<Last>,
+    /// The bytes of the last frame with which the pace was measured, and how long it occupied the link.
+    last_paced: Option<(usize, Duration)>,
     span: Span,
     feedback_interval: Option<Duration>,
     has_reported: bool,
@@ -118,6 +120,7 @@ impl Receiver {
             replies: 0,
             query_at: now,
             last: None,
+            last_paced: None,
             span: Span::new(now),
             feedback_interval: Some(Duration::from_millis(500)),
             has_reported: false,
@@ -196,8 +199,17 @@ impl Receiver {
             let alone = self.last.map_or(age, |last| {
                 age.min(now.saturating_duration_since(last.arrived_at) + min_delay)
             });
-            span.busy += alone.saturating_sub(min_delay).max(SHORTEST);
+            let busy = alone.saturating_sub(min_delay).max(SHORTEST);
+            // The frames that waited during a pause of the link arrive at once after the first one, which may be in the last report.
+            if let Some((bytes, busy)) =
+                (self.last_paced).filter(|_| alone < age && span.busy.is_zero())
+            {
+                span.busy += busy;
+                span.paced_bytes += bytes as f64;
+            }
+            span.busy += busy;
             span.paced_bytes += bytes as f64;
+            self.last_paced = Some((bytes, busy));
         }
         if let Some(age) = age.filter(|_| span.ages_ms.len() < MAX_AGES) {
             span.ages_ms
@@ -455,6 +467,37 @@ mod tests {
                 (5, 15_000, 0)
             );
         }
+    }
+
+    /// A link that carries 30 kB/s and stands still now and then. The frames that waited arrive at once afterwards.
+    #[test]
+    fn pace_includes_the_pauses_of_the_link() {
+        let start = Instant::now();
+        let mut receiver = receiver(start);
+        let notice = Notice {
+            time_ms: 20,
+            feedback_ms: 500,
+            ..Notice::default()
+        };
+        receiver.on_reply(&notice, start, start + ms(40));
+        let mut paces = Vec::new();
+        for n in 0..200u64 {
+            let sent_ms = 100 + n * 100;
+            // Each second second, nothing arrives for 700 ms.
+            let carried_ms = sent_ms + 100;
+            let is_held = carried_ms % 2000 < 700;
+            let at_ms = match is_held {
+                true => carried_ms - carried_ms % 2000 + 700 + n % 10,
+                false => carried_ms,
+            };
+            let now = start + ms(at_ms + 20);
+            receiver.on_frame(frame(1, n as u32, sent_ms), 3000, now);
+            let feedback = receiver.poll_feedback(now);
+            paces.extend(feedback.and_then(|feedback| feedback.pace_bytes_per_s));
+        }
+        assert!(paces.len() > 20);
+        let highest = paces.iter().max().expect("some");
+        assert!(*highest < 40_000, "{highest} in {paces:?}");
     }
 
     #[test]

@@ -78,6 +78,8 @@ enum Inquiry {
 struct Running {
     offer: Offer,
     received_bytes: u64,
+    /// Whether the transfer has arrived and waits for the program.
+    is_untaken: bool,
 }
 
 /// The reaction to an offer.
@@ -147,12 +149,17 @@ impl Admission {
                     "another transfer has the same id".into(),
                 ));
             }
-            let received_bytes = running.received_bytes;
+            let answer = match running.is_untaken {
+                true => Answer::NotTaken,
+                false => Answer::Running {
+                    received_bytes: running.received_bytes,
+                },
+            };
             if running.offer.call != offer.call {
                 // The sender was restarted, or another robot makes the offer in its name. Only the sender knows which.
                 self.ask(now, id, &offer.sender);
             }
-            return Decision::Running(id, Answer::Running { received_bytes });
+            return Decision::Running(id, answer);
         }
         if let Some(answer) = self.answer_of(id, offer.call) {
             return Decision::Answer(answer.clone());
@@ -160,7 +167,10 @@ impl Admission {
         if let Some(refusal) = self.refusal(&offer) {
             return refused(refusal);
         }
-        if !self.has_room(&offer.sender) || !self.ask(now, id, &offer.sender) {
+        if let Some(answer) = self.without_room(&offer.sender) {
+            return Decision::Answer(answer);
+        }
+        if !self.ask(now, id, &offer.sender) {
             return Decision::Answer(Answer::Busy);
         }
         Decision::Answer(Answer::Running { received_bytes: 0 })
@@ -207,12 +217,13 @@ impl Admission {
         }
         // The confirmation counts, and not the offer that led to it.
         let is_new = self.answer_of(id, offer.call).is_none() && self.refusal(&offer).is_none();
-        if !is_new || !self.has_room(&offer.sender) {
+        if !is_new || self.without_room(&offer.sender).is_some() {
             return None;
         }
         let running = Running {
             offer: offer.clone(),
             received_bytes: 0,
+            is_untaken: false,
         };
         self.running.insert(id, running);
         Some(Confirmed::Accept(id, Box::new(offer)))
@@ -300,13 +311,24 @@ impl Admission {
         }
     }
 
-    fn has_room(&self, from: &Name) -> bool {
-        let all = self.running.len();
-        let of_one = self
-            .running
-            .values()
-            .filter(|known| known.offer.sender == *from);
-        all < self.rules.max_concurrent && of_one.count() < self.rules.max_concurrent.div_ceil(2)
+    /// Returns the answer to an offer of that robot for which there is no room, or `None` if there is room.
+    fn without_room(&self, from: &Name) -> Option<Answer> {
+        let max = self.rules.max_concurrent;
+        let all: Vec<_> = self.running.values().collect();
+        let of_one = all.iter().filter(|known| known.offer.sender == *from);
+        let of_one: Vec<_> = of_one.copied().collect();
+        let in_the_way = if of_one.len() >= max.div_ceil(2) {
+            of_one
+        } else if all.len() >= max {
+            all
+        } else {
+            return None;
+        };
+        // One that still arrives makes room in time.
+        Some(match in_the_way.iter().all(|known| known.is_untaken) {
+            true => Answer::NotTaken,
+            false => Answer::Busy,
+        })
     }
 
     fn accepts(&self, offer: &Offer) -> bool {
@@ -323,6 +345,13 @@ impl Admission {
     pub fn on_received_bytes(&mut self, id: TransferId, received_bytes: u64) {
         if let Some(running) = self.running.get_mut(&id) {
             running.received_bytes = received_bytes;
+        }
+    }
+
+    /// Handles that a transfer has arrived, or failed, and waits for the program.
+    pub fn on_untaken(&mut self, id: TransferId) {
+        if let Some(running) = self.running.get_mut(&id) {
+            running.is_untaken = true;
         }
     }
 

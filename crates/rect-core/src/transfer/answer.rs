@@ -15,6 +15,8 @@ pub enum Answer {
     },
     /// The maximum number of concurrent transfers is reached. Offer the transfer again later.
     Busy,
+    /// The transfer has arrived, or there is no place for it, and the receiving program has not taken those that arrived before.
+    NotTaken,
     /// The transfer is complete, and its checksum is correct.
     Done,
     /// The offer is refused.
@@ -76,6 +78,7 @@ const BUSY: u8 = 1;
 const DONE: u8 = 2;
 const REFUSED: u8 = 3;
 const FAILED: u8 = 4;
+const NOT_TAKEN: u8 = 5;
 
 impl Answer {
     /// Encodes the answer.
@@ -87,6 +90,7 @@ impl Answer {
                 write_number(&mut out, *received_bytes);
             }
             Self::Busy => out.push(BUSY),
+            Self::NotTaken => out.push(NOT_TAKEN),
             Self::Done => out.push(DONE),
             Self::Refused(refusal) => {
                 out.push(REFUSED);
@@ -111,6 +115,7 @@ impl Answer {
                 received_bytes: reader.number()?,
             },
             BUSY => Self::Busy,
+            NOT_TAKEN => Self::NotTaken,
             DONE => Self::Done,
             REFUSED => Self::Refused(Refusal::read(&mut reader)?),
             FAILED => Self::Failed(Fault::read(&mut reader)?),
@@ -230,6 +235,7 @@ mod tests {
                 received_bytes: 300,
             },
             Answer::Busy,
+            Answer::NotTaken,
             Answer::Done,
         ];
         answers.extend(refusals.map(Answer::Refused));

@@ -54,11 +54,11 @@ pub enum SendError {
     Refused(Refusal),
     /// The transfer began, but failed.
     Failed(Fault),
-    /// The receiver did not answer.
+    /// The receiver did not answer, or its program takes no transfers.
     TimedOut {
-        /// The expected answer, for the text of the error.
+        /// The expected event, for the text of the error.
         expected: String,
-        /// For how long there was no answer.
+        /// For how long it was expected.
         timeout: Duration,
     },
     /// The session was closed, or the program has stopped the transfer.
@@ -67,7 +67,7 @@ pub enum SendError {
 
 impl TransferPush {
     /// Creates the transfer of `offer` to `recipient`, for a program of the robot of `place`. `timeout` is how long the
-    /// receiver may be silent; `None` for no limit.
+    /// receiver may be silent, or its program take none of the transfers that have arrived; `None` for no limit.
     pub fn new(
         place: &KeySpace,
         recipient: Name,
@@ -169,6 +169,13 @@ impl TransferPush {
                 expected: format!(
                     "reply of {} about the transfer {}",
                     self.recipient, self.offer.topic
+                ),
+                timeout,
+            }),
+            Outcome::NotTaken(timeout) => Err(SendError::TimedOut {
+                expected: format!(
+                    "room for the transfer {}: the program of {} has taken none of those that have arrived",
+                    self.offer.topic, self.recipient
                 ),
                 timeout,
             }),

@@ -72,6 +72,12 @@ impl TransferReception {
         self.admission.on_received_bytes(id, received_bytes);
     }
 
+    /// Handles that a transfer has arrived, or failed, and waits until the program has room for the outcome. The timeout of its sender
+    /// applies to this time.
+    pub fn on_untaken(&mut self, id: TransferId) {
+        self.admission.on_untaken(id);
+    }
+
     /// Handles the end of a transfer. A transfer is complete only if the program will receive it: `has_room` is whether
     /// the program has room for the outcome.
     pub fn on_ended(&mut self, id: TransferId, result: Result<(), Fault>, has_room: bool) {

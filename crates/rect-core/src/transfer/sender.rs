@@ -31,8 +31,9 @@ pub struct Sender {
     state: State,
     pause: Duration,
     jitter: u64,
+    /// When the receiver last made a request, or answered that it receives or will receive the transfer.
     last_contact: Instant,
-    /// Number of unanswered offers since the last message from the receiver.
+    /// Number of offers since then.
     unanswered: u32,
     received_bytes: u64,
     /// Number of offers made.
@@ -64,6 +65,8 @@ pub enum Outcome {
     Failed(Fault),
     /// The receiver did not answer for this long, which exceeds the timeout.
     NoAnswer(Duration),
+    /// The receiving program did not take the transfers that have arrived for this long, which exceeds the timeout.
+    NotTaken(Duration),
 }
 
 /// The next action.
@@ -90,8 +93,8 @@ pub enum Response {
 }
 
 impl Sender {
-    /// Creates the sender of a transfer of `size_bytes`. `timeout` is how long the receiver may be silent; `None` for
-    /// no limit. `seed` is any number, by which the pauses vary so that several robots do not send offers
+    /// Creates the sender of a transfer of `size_bytes`. `timeout` is how long the receiver may be silent, and how long its program
+    /// may take none of the transfers that have arrived; `None` for no limit. `seed` is any number, by which the pauses vary so that several robots do not send offers
     /// simultaneously.
     pub fn new(now: Instant, size_bytes: u64, timeout: Option<Duration>, seed: u64) -> Self {
         Self {
@@ -132,34 +135,44 @@ impl Sender {
         let State::Offering { again, .. } = self.state else {
             return;
         };
-        if !answers.is_empty() {
-            (self.last_contact, self.unanswered) = (now, 0);
-        }
         for answer in answers {
             if let Answer::Running { received_bytes } = answer {
                 self.on_received_bytes(*received_bytes);
             }
         }
-        if let Some(outcome) = settled(answers) {
-            if outcome == Outcome::Done {
-                self.received_bytes = self.size_bytes;
+        let pause = match combined(answers) {
+            Some(Answer::Running { .. } | Answer::Busy) => {
+                (self.last_contact, self.unanswered) = (now, 0);
+                self.pause = FIRST_PAUSE;
+                QUIET
             }
-            self.state = State::Finished(outcome);
-            return;
-        }
-        let pause = if answers.is_empty() {
-            self.unanswered += 1;
-            let silent = now.saturating_duration_since(self.last_contact);
-            if self.unanswered > 3 && self.timeout.is_some_and(|timeout| silent > timeout) {
-                self.state = State::Finished(Outcome::NoAnswer(silent));
+            stalled @ (None | Some(Answer::NotTaken)) => {
+                self.unanswered += 1;
+                let silent = now.saturating_duration_since(self.last_contact);
+                if self.unanswered > 3 && self.timeout.is_some_and(|timeout| silent > timeout) {
+                    self.state = State::Finished(match stalled {
+                        None => Outcome::NoAnswer(silent),
+                        Some(_) => Outcome::NotTaken(silent),
+                    });
+                    return;
+                }
+                let pause = self.pause;
+                self.pause = (pause * 2).min(LAST_PAUSE);
+                pause + pause.mul_f64(self.random() / 4.0)
+            }
+            Some(Answer::Done) => {
+                self.received_bytes = self.size_bytes;
+                self.state = State::Finished(Outcome::Done);
                 return;
             }
-            let pause = self.pause;
-            self.pause = (pause * 2).min(LAST_PAUSE);
-            pause + pause.mul_f64(self.random() / 4.0)
-        } else {
-            self.pause = FIRST_PAUSE;
-            QUIET
+            Some(Answer::Failed(fault)) => {
+                self.state = State::Finished(Outcome::Failed(fault.clone()));
+                return;
+            }
+            Some(Answer::Refused(refusal)) => {
+                self.state = State::Finished(Outcome::Refused(refusal.clone()));
+                return;
+            }
         };
         let pause = if again { Duration::ZERO } else { pause };
         self.state = State::Waiting { until: now + pause };
@@ -236,23 +249,19 @@ impl Sender {
     }
 }
 
-/// Combines the answers of several programs of a robot to one offer. A program that is receiving the transfer
-/// takes precedence, then one that has received it, then one that failed. The offer is refused only if all programs
-/// refuse it.
-fn settled(answers: &[Answer]) -> Option<Outcome> {
+/// Returns the answer that counts of those of several programs of a robot to one offer. A program that is receiving the transfer
+/// takes precedence, then one that has received it, one that may still take it, and one that failed. The offer is refused only if all
+/// programs refuse it.
+fn combined(answers: &[Answer]) -> Option<&Answer> {
     let rank = |answer: &Answer| match answer {
         Answer::Running { .. } | Answer::Busy => 0,
         Answer::Done => 1,
-        Answer::Failed(_) => 2,
-        Answer::Refused(Refusal::NotAccepted) => 4,
-        Answer::Refused(_) => 3,
+        Answer::NotTaken => 2,
+        Answer::Failed(_) => 3,
+        Answer::Refused(Refusal::NotAccepted) => 5,
+        Answer::Refused(_) => 4,
     };
-    match answers.iter().min_by_key(|answer| rank(answer))? {
-        Answer::Running { .. } | Answer::Busy => None,
-        Answer::Done => Some(Outcome::Done),
-        Answer::Failed(fault) => Some(Outcome::Failed(fault.clone())),
-        Answer::Refused(refusal) => Some(Outcome::Refused(refusal.clone())),
-    }
+    answers.iter().min_by_key(|answer| rank(answer))
 }
 
 #[cfg(test)]

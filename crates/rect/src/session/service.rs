@@ -55,7 +55,7 @@ pub struct Request {
 
 impl Robot {
     /// Declares the service `topic`, which other robots use with [`request`](Robot::request), and returns its requests. Only
-    /// the requester receives the reply.
+    /// the requester receives the reply. A query of a stock Zenoh program is a request unless its key has wildcards.
     ///
     /// ```no_run
     /// # async fn serve(robot: rect::Robot) -> Result<(), rect::Error> {
@@ -82,6 +82,8 @@ impl Robot {
         let key_of_answers = key.clone();
         let on_query = move |query: Query| {
             let request = Request::new(query, place.robot.clone(), key_of_answers.clone());
+            // Any other query ends without a reply.
+            let Some(request) = request else { return };
             let query = request.query.clone();
             if !writer.push(request) {
                 queries::answer(&query, Answer::Error(busy(&place.robot)));
@@ -222,17 +224,18 @@ impl Drop for Service {
 }
 
 impl Request {
-    fn new(query: Query, me: Name, key: String) -> Self {
+    /// Creates the request that a query makes, if it makes one.
+    fn new(query: Query, me: Name, key: String) -> Option<Self> {
         let attachment = query.attachment().map(ZBytes::to_bytes);
-        let requester = Requester::of(attachment.as_deref());
-        Self {
+        let requester = Requester::of(query.key_expr().as_str(), attachment.as_deref())?;
+        Some(Self {
             me,
             key,
             sender: requester.robot,
             payload: queries::payload_of(&query),
             deadline: Instant::now() + requester.timeout,
             query,
-        }
+        })
     }
 
     /// Returns the time left until the [deadline](Self::deadline).

@@ -2,7 +2,7 @@
 //! `cargo test -p rect-robot --test behaviour request`
 use std::{
     sync::{
-        atomic::{AtomicBool, Ordering},
+        atomic::{AtomicBool, AtomicUsize, Ordering},
         Arc,
     },
     time::{Duration, Instant},
@@ -100,6 +100,37 @@ async fn request_carries_sender_and_deadline() {
     let error = asking.await.expect("no panic").expect_err("no answer");
     assert!(matches!(error, Error::TimedOut { .. }), "{error}");
     drop(second);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn query_with_wildcards_of_a_stock_program_runs_no_service() {
+    let (a, b) = pair("a", "b").await;
+    let requests = Arc::new(AtomicUsize::new(0));
+    let counted = requests.clone();
+    let service = a.serve("home", move |_| {
+        counted.fetch_add(1, Ordering::AcqRel);
+        async { Ok::<_, String>("at home") }
+    });
+    let _service = service.await.expect("served");
+    let asked = asked(&b, "a", "home", 0.0).await;
+    asked.expect("a reply");
+    requests.store(0, Ordering::Release);
+    for key in ["rect/**", "rect/*/home"] {
+        let replies = b.zenoh().get(key).timeout(TIMEOUT).wait();
+        let replies = replies.expect("asked");
+        // Ends when every queryable has dropped the query.
+        assert!(replies.iter().all(|reply| reply.result().is_err()), "{key}");
+    }
+    assert_eq!(requests.load(Ordering::Acquire), 0);
+    let stock = b.zenoh().get("rect/a/home").timeout(TIMEOUT).wait();
+    let replies = stock.expect("asked");
+    assert_eq!(
+        replies
+            .iter()
+            .filter(|reply| reply.result().is_ok())
+            .count(),
+        1
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -303,6 +303,43 @@ async fn repeated_and_concurrent_transfers_are_all_received() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn transfers_time_out_if_the_program_takes_none() {
+    let _turn = turn().await;
+    let (a, b) = pair("a", "b").await;
+    let options = ReceiveOptions::in_memory(1000).max_concurrent(1);
+    let received = b
+        .receive_transfers("*/**", options)
+        .await
+        .expect("declared");
+    let send = |content: &'static str| {
+        let transfer = a.transfer("b", "notes", content.as_bytes().to_vec());
+        let transfer = transfer.expect("valid arguments");
+        let transfer = transfer.timeout(Duration::from_millis(500));
+        timeout(TIMEOUT, transfer.into_future())
+    };
+    send("first")
+        .await
+        .expect("in time")
+        .expect("it waits for the program");
+    // The second one has arrived, and the third one finds no place.
+    for content in ["second", "third"] {
+        let error = send(content).await.expect("in time").expect_err(content);
+        assert!(matches!(error, Error::TimedOut { .. }), "{error}");
+        let reason = "the program of b has taken none of those that have arrived";
+        assert!(error.to_string().contains(reason), "{error}");
+    }
+    for content in ["first", "second"] {
+        let next = timeout(TIMEOUT, received.next()).await.expect("in time");
+        let next = next.expect("open").expect("received");
+        assert_eq!(file_of(&next), content.as_bytes());
+    }
+    send("third")
+        .await
+        .expect("in time")
+        .expect("there is a place");
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn transfers_that_are_not_accepted_are_refused() {
     let _turn = turn().await;
     let (a, b) = pair("a", "b").await;

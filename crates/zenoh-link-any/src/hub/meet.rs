@@ -20,7 +20,6 @@ use crate::{
     locator::ConnectLocator,
     meeting::{self, MeetingError},
     multipath::Options,
-    path::PathState,
     proof::Role,
     run,
     shared::Shared,
@@ -110,9 +109,9 @@ impl Hub {
     ) -> Result<(), MeetingError> {
         let identity = self.ble.identity();
         let secret = identity.secret.clone();
-        let secret = secret.ok_or(MeetingError::NoSharedSecret)?;
         let decide = |peer: &Hello| self.decide(peer, address, identity);
-        let met = within(meeting::accept(&mut stream.halves, &secret, decide)).await?;
+        let met = meeting::accept(&mut stream.halves, secret.as_ref(), decide);
+        let met = within(met).await?;
         if self
             .existing(&name_of(&met.peer, address), met.peer.node)
             .is_some()
@@ -122,9 +121,10 @@ impl Hub {
         }
         let (peer, node) = (name_of(&met.peer, address), met.peer.node);
         let id = met.peer.path.map_or(0, |path| path.link);
-        self.replace(&peer);
         let shared = self.add_link(id, peer, node, Role::Acceptor, Some(&met.exporter));
         let connection = connect::accept_as(&shared, stream).await?;
+        // A peer that still has the earlier link closes the connection instead.
+        self.replace_by(&shared);
         let carrying = run::run_tcp(Arc::clone(&shared), connection, true);
         match self.start(&shared, SOURCE, None, carrying) {
             Ok(link) => self.hand_over(link).await,
@@ -148,12 +148,8 @@ impl Hub {
                 },
             ));
         }
-        // A peer that was restarted is another node, but then the paths of its old link have ended.
-        let is_alive = |link: Arc<Shared>| {
-            let mut paths = link.paths().into_iter();
-            paths.any(|path| path.state == PathState::Live)
-        };
-        if name == own.name || self.link_with(&name).is_some_and(is_alive) {
+        let is_of_another = |link: Arc<Shared>| link.node != peer.node && link.is_shared();
+        if name == own.name || self.link_with(&name).is_some_and(is_of_another) {
             return Err(Refusal::NameTaken);
         }
         if self.is_full_for(&name) {

@@ -262,6 +262,28 @@ fn jammed_path_is_used_again_when_it_answers() {
     );
 }
 
+/// A radio that serves another connection now and then.
+#[test]
+fn nothing_is_sent_again_on_the_only_path() {
+    let mut world = World::new();
+    let bluetooth = world.connect(BLUETOOTH);
+    let mut talks = Default::default();
+    talk(&mut world, &mut talks, Duration::from_secs(2), true);
+    let (mut suspicions, before) = (0, world.carried[0]);
+    for _ in 0..20 {
+        world.jam(bluetooth, 700 * MS);
+        talk(&mut world, &mut talks, 690 * MS, true);
+        let is_suspected = |(_, report): (_, PathReport)| report.state == PathState::Suspected;
+        suspicions += u32::from(world.ends[0].paths().any(is_suspected));
+        talk(&mut world, &mut talks, 310 * MS, true);
+    }
+    assert!(suspicions > 1, "{suspicions}");
+    assert_eq!(world.ends[1].repeated_bytes(), 0);
+    finish(&mut world, &mut talks, "busy radio");
+    // The simulated radio is silent for 14 s, and its queue holds what it cannot send.
+    assert!(world.carried[0] - before > 80_000, "{:?}", world.carried);
+}
+
 #[test]
 fn link_ends_after_the_lease_without_a_path() {
     let mut world = World::new();

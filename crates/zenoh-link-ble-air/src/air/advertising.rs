@@ -262,7 +262,6 @@ impl Air {
             self.options.ahead_bytes(),
         );
         connection.channels.insert(channel, opening);
-        connection.idle_since = None;
         let psm = dial.psm;
         connection.signal(side, Signal::ConnectRequest { channel, psm });
         self.channel_connections.insert(channel, id);

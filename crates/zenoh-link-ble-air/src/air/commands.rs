@@ -10,7 +10,7 @@ use super::{timers::Timer, Air};
 use crate::{
     adapter::{Advertising, Dial, MAX_REQUESTS},
     connection::Connection,
-    id::AdapterId,
+    id::{AdapterId, ConnectionId},
     message::{ChannelId, Command, ConnectFailure, Event, ListenFailure, RequestId, Violation},
     options::{ADVERTISING_DELAY, MAX_NAME_BYTES, MIN_MTU},
     packet::Signal,
@@ -73,6 +73,10 @@ impl Air {
             Command::SetInterval { peer, units } => self.set_interval(id, peer, units),
             Command::Close { channel } => {
                 self.close(id, channel);
+                Ok(())
+            }
+            Command::Disconnect { peer } => {
+                self.disconnect(id, peer);
                 Ok(())
             }
         }
@@ -159,17 +163,10 @@ impl Air {
             psm,
             recv_mtu,
         };
-        let peer_adapter = self
-            .adapters
-            .iter()
-            .find(|(other, adapter)| **other != id && adapter.address == peer)
-            .map(|(other, _)| *other);
-        let connection = peer_adapter
-            .and_then(|other| self.connection_between(id, other))
-            .filter(|connection| {
-                let connection = self.connections.get(connection);
-                connection.is_some_and(|c| c.sides.iter().all(|side| side.is_up))
-            });
+        let connection = self.connection_to(id, peer).filter(|connection| {
+            let connection = self.connections.get(connection);
+            connection.is_some_and(|c| c.sides.iter().all(|side| side.is_up))
+        });
         match connection {
             Some(connection) => self.open(connection, id, request, dial),
             None => {
@@ -180,6 +177,16 @@ impl Air {
             }
         }
         Ok(())
+    }
+
+    /// Returns the adapter's connection to the device with that address.
+    pub(super) fn connection_to(&self, id: AdapterId, peer: DeviceAddress) -> Option<ConnectionId> {
+        let is_peer = |other: &AdapterId| {
+            let adapter = self.adapters.get(other);
+            *other != id && adapter.is_some_and(|adapter| adapter.address == peer)
+        };
+        let other = self.adapters.keys().copied().find(is_peer)?;
+        self.connection_between(id, other)
     }
 
     /// Records that the adapter begins to scan, unless it is scanning already.
@@ -251,6 +258,23 @@ impl Air {
             connection.signal(side, Signal::Disconnect { channel });
         }
         self.remove_if_finished(channel);
+    }
+
+    /// Closes the adapter's side of a connection. The other side receives the termination at the next event that succeeds.
+    fn disconnect(&mut self, id: AdapterId, peer: DeviceAddress) {
+        let Some(connection_id) = self.connection_to(id, peer) else {
+            return;
+        };
+        let Some(connection) = self.connections.get_mut(&connection_id) else {
+            return;
+        };
+        if let Some(side) = connection
+            .side_of(id)
+            .filter(|side| connection.sides[*side].is_up)
+        {
+            connection.is_terminating = true;
+            self.drop_side(connection_id, side);
+        }
     }
 
     /// Returns the connection of a channel, and the adapter's side of it.

@@ -1,7 +1,7 @@
 //! Handles the arrival of packets, and the loss of connections.
 use zenoh_link_ble_radio::address::Psm;
 
-use super::{timers::Timer, Air, ConnectionId};
+use super::{Air, ConnectionId};
 
 use crate::{
     channel::EndState,
@@ -246,7 +246,7 @@ impl Air {
         }
     }
 
-    /// Removes a closed channel. A connection without channels is dropped after a grace period.
+    /// Removes a closed channel. A connection without channels stays open, as with bluetoothd, until one side closes it.
     pub(super) fn remove_if_finished(&mut self, channel: ChannelId) {
         let Some(id) = self.channel_connections.get(&channel).copied() else {
             return;
@@ -261,10 +261,6 @@ impl Air {
         {
             connection.channels.remove(&channel);
             self.channel_connections.remove(&channel);
-            if connection.channels.is_empty() {
-                connection.idle_since = Some(self.now);
-                self.schedule(Timer::LingerEnd(id));
-            }
         }
     }
 }

@@ -16,6 +16,11 @@ impl Air {
         ConnectionInterval::nearest(self.options.interval)
     }
 
+    /// Returns whether an adapter can change the interval of an open connection.
+    pub fn changes_open_connections(&self) -> bool {
+        self.options.changes_open_connections
+    }
+
     pub(super) fn set_interval(
         &mut self,
         id: AdapterId,
@@ -34,11 +39,10 @@ impl Air {
             adapter.intervals.clear();
         }
         adapter.intervals.insert(peer, interval);
-        let peer = self
-            .adapters
-            .iter()
-            .find(|(_, adapter)| adapter.address == peer);
-        let connection = peer.and_then(|(peer, _)| self.connection_between(id, *peer));
+        if !self.options.changes_open_connections {
+            return Ok(());
+        }
+        let connection = self.connection_to(id, peer);
         let connection = connection.and_then(|connection| self.connections.get_mut(&connection));
         if let Some(connection) = connection.filter(|c| c.sides[CENTRAL].adapter == id) {
             connection.update_interval(interval);

@@ -5,7 +5,7 @@ use std::{
 };
 
 use super::{advertising_channel::event_duration, Air, ConnectionId};
-use crate::{adapter::Adapter, id::AdapterId, message::RequestId, options::LINGER};
+use crate::{adapter::Adapter, id::AdapterId, message::RequestId};
 
 /// Timers of the air. Timers that expire at the same time are handled in the order of this list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -15,7 +15,6 @@ pub(super) enum Timer {
     Anchor(ConnectionId),
     Advertise(AdapterId, RequestId),
     AdvertisingEnd(AdapterId, RequestId),
-    LingerEnd(ConnectionId),
 }
 
 /// All timers in order of their expiry. Code that sets a timer or brings it forward calls [`Air::schedule`]. A timer
@@ -114,10 +113,6 @@ impl Air {
                 let adapter = self.adapters.get(&adapter)?;
                 let start = adapter.advertisements.get(&request)?.event?;
                 Some(start + event_duration())
-            }
-            Timer::LingerEnd(id) => {
-                let idle_since = self.connections.get(&id)?.idle_since;
-                idle_since.map(|since| since + LINGER)
             }
         }
     }

@@ -20,6 +20,9 @@ fn link(peer: u8, is_central: bool, interval: u16) -> LinkInterval {
         interval: units(interval),
         peer_avoids: Some(Vec::new()),
         changes: 0,
+        can_change: true,
+        is_unannounced: false,
+        is_requested: false,
     }
 }
 
@@ -36,6 +39,15 @@ fn new_link(peer: u8, is_central: bool) -> NewLink {
         device: device(peer),
         default: units(24),
         is_central,
+        can_change: true,
+    }
+}
+
+/// Returns a link of which this node is the central, and whose interval it cannot change while the link is open.
+fn fixed_link(peer: u8) -> NewLink {
+    NewLink {
+        can_change: false,
+        ..new_link(peer, true)
     }
 }
 
@@ -178,4 +190,72 @@ fn interval_that_cannot_be_changed_is_left_alone() {
     let mut table = table(&[fixed(1, true), fixed(2, false)]);
     assert_eq!(table.next_action(), None);
     assert_eq!(table.on_message(1, units(25)), None);
+}
+
+#[test]
+fn central_that_cannot_change_a_link_announces_the_interval_in_force() {
+    let (mut dialler, mut listener) = (table(&[]), table(&[link(2, true, 24)]));
+    let (new, default) = (9, units(24));
+    let offered = Some(dialler.for_dial(device(5), default));
+    let answered = listener.on_dialled(new, new_link(4, false), None, offered.clone());
+    assert_eq!(listener.links[&new].interval, units(25), "as computed");
+    let in_force = dialler.on_accepted(new, fixed_link(5), offered, Some(answered));
+    assert_eq!(in_force, default);
+    let announced = Some(Action::Announce(new, default));
+    assert_eq!(dialler.next_action(), announced);
+    assert_eq!(dialler.next_action(), None, "once");
+    // The listener changes the link of which it is the central. If it could not, it would request another interval.
+    assert_eq!(
+        listener.on_message(new, default),
+        Some(Action::Change(1, units(25)))
+    );
+    // The next dial requests what the two have computed, unless it conflicts by then.
+    dialler.on_ended(new);
+    assert_eq!(dialled(&dialler, 5), units(25));
+    assert_eq!(dialled(&dialler, 6), default);
+    dialler.links.insert(10, link(7, false, 25));
+    assert_eq!(dialled(&dialler, 5), default);
+}
+
+#[test]
+fn central_that_cannot_change_a_link_answers_a_request_with_the_interval_in_force() {
+    let (mut central, mut peripheral) = (table(&[]), table(&[link(1, false, 24)]));
+    let fixed = LinkInterval {
+        can_change: false,
+        ..link(2, true, 24)
+    };
+    central.links.insert(9, fixed);
+    peripheral.links.insert(9, link(3, false, 24));
+    let Some(Action::Request(9, requested)) = peripheral.next_action() else {
+        panic!("the two links conflict");
+    };
+    let answer = central.on_message(9, requested);
+    assert_eq!(answer, Some(Action::Announce(9, units(24))));
+    assert_eq!(
+        peripheral.on_message(9, units(24)),
+        Some(Action::Request(1, units(25))),
+        "the peripheral tries the other link, and not this one again"
+    );
+    assert_eq!(peripheral.on_starved(9), None);
+    central.on_ended(9);
+    assert_eq!(dialled(&central, 2), requested);
+    // A link that the radio loses gets another interval.
+    central.links.insert(9, link(2, true, 25));
+    central.on_lost(9);
+    central.on_ended(9);
+    assert_eq!(dialled(&central, 2), units(25));
+    assert!(central.preferred.is_empty());
+}
+
+#[test]
+fn dialler_takes_the_interval_that_a_central_has_answered() {
+    let mut dialler = table(&[link(1, true, 24)]);
+    let offered = dialler.for_peripheral();
+    let answered = Intervals {
+        requested: Some(units(24)),
+        avoid: vec![],
+    };
+    let link = new_link(5, false);
+    let interval = dialler.on_accepted(9, link, Some(offered), Some(answered));
+    assert_eq!(interval, units(24), "although another one would be better");
 }

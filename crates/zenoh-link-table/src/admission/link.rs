@@ -1,4 +1,4 @@
-//! Wraps an accepted link so that it holds a permit until Zenoh drops it.
+//! Wraps an accepted link so that it holds a permit until Zenoh drops it, and so that its declarations wait if there are too many.
 
 use std::{
     future::Future,
@@ -10,7 +10,7 @@ use std::{
 };
 
 use async_trait::async_trait;
-use tokio::time::Instant;
+use tokio::{sync::Mutex, time::Instant};
 use tokio_util::sync::CancellationToken;
 use zenoh_link_commons::{LinkAuthId, LinkUnicast, LinkUnicastTrait, NewLink};
 use zenoh_protocol::{
@@ -19,11 +19,13 @@ use zenoh_protocol::{
 };
 use zenoh_result::{bail, ZResult};
 
-use super::Permit;
+use super::{declarations::Incoming, Permit};
 
 /// Number of messages that the accepting side sends in a handshake. Zenoh sends the second one, `OpenAck`, once the
 /// peer has proved its login. (The second message may also be a refusal; the link is closed right after it.)
 const HANDSHAKE_MESSAGES: u8 = 2;
+/// Number of bytes that are read ahead at once.
+const READ_BYTES: usize = 16 << 10;
 
 /// An accepted link with its permit.
 pub(super) struct AdmittedLink {
@@ -34,6 +36,8 @@ pub(super) struct AdmittedLink {
     /// Cancelled when the handshake must end.
     handshake: CancellationToken,
     deadline: Instant,
+    /// The stream that is read from the link; locked by its only reader.
+    incoming: Mutex<Incoming>,
 }
 
 impl AdmittedLink {
@@ -51,6 +55,7 @@ impl AdmittedLink {
                 sent: AtomicU8::new(0),
                 handshake,
                 deadline: Instant::now() + timeout,
+                incoming: Mutex::new(Incoming::new(now())),
             })
         };
         LinkUnicast(match link.0 {
@@ -78,6 +83,35 @@ impl AdmittedLink {
             () = tokio::time::sleep_until(self.deadline) => bail!("the handshake timed out"),
             done = step => done,
         }
+    }
+
+    /// Waits until the next batch may be read.
+    async fn wait_for_turn(
+        &self,
+        incoming: &mut Incoming,
+        priority: Option<Priority>,
+    ) -> ZResult<()> {
+        let mut bytes = Vec::new();
+        while let Some(until) = incoming.waits_until(now()) {
+            bytes.resize(READ_BYTES, 0);
+            let room = incoming.room().min(READ_BYTES);
+            tokio::select! {
+                () = tokio::time::sleep_until(until.into()) => {}
+                read = self.link.read(&mut bytes[..room], priority), if room > 0 => match read? {
+                    0 => bail!("the program has closed the link while its declarations waited"),
+                    count => incoming.on_ahead(&bytes[..count]),
+                },
+            }
+        }
+        Ok(())
+    }
+
+    /// Reads from the link itself.
+    async fn read_link(&self, buffer: &mut [u8], priority: Option<Priority>) -> ZResult<()> {
+        if self.is_complete() {
+            return self.link.read_exact(buffer, priority).await;
+        }
+        self.step(self.link.read_exact(buffer, priority)).await
     }
 
     /// Counts a message that is about to be sent.
@@ -148,10 +182,20 @@ impl LinkUnicastTrait for AdmittedLink {
     }
 
     async fn read_exact(&self, buffer: &mut [u8], priority: Option<Priority>) -> ZResult<()> {
-        if self.is_complete() {
-            return self.link.read_exact(buffer, priority).await;
+        // Zenoh reads a link with priorities, or without a stream, in other ways.
+        if self.supports_priorities() || !self.is_streamed() {
+            return self.read_link(buffer, priority).await;
         }
-        self.step(self.link.read_exact(buffer, priority)).await
+        let mut incoming = self.incoming.lock().await;
+        self.wait_for_turn(&mut incoming, priority).await?;
+        let filled = incoming.fill(buffer);
+        if filled < buffer.len() {
+            self.read_link(&mut buffer[filled..], priority).await?;
+        }
+        if let Some(count) = incoming.on_part(buffer, now()) {
+            self.permit.on_waited(self.get_dst(), count);
+        }
+        Ok(())
     }
 
     async fn close(&self) -> ZResult<()> {
@@ -162,4 +206,8 @@ impl LinkUnicastTrait for AdmittedLink {
     fn get_fd(&self) -> ZResult<std::os::fd::RawFd> {
         self.link.get_fd()
     }
+}
+
+fn now() -> std::time::Instant {
+    Instant::now().into_std()
 }

@@ -13,7 +13,7 @@ use crate::{
     args::DoctorArgs,
     commands::client::{answers, session},
     connections::file::{self, Limits},
-    doctor::{encryption, names, radio, Finding},
+    doctor::{declarations, encryption, names, radio, Finding},
     registry::now_s,
 };
 
@@ -47,6 +47,10 @@ pub fn findings(args: &DoctorArgs) -> Vec<Finding> {
         let may_choose = status
             .iter()
             .find_map(|(_, status)| status["chooses_intervals"].as_bool());
+        let delayed = status
+            .iter()
+            .find_map(|(_, status)| status["delayed_declarations"].as_u64());
+        findings.extend(declarations::finding(delayed.unwrap_or_default()));
         for (_, connections) in replies(&session, &format!("{own}/connections")) {
             findings.extend(radio::findings(&connections, may_choose));
             findings.extend(encryption::findings(&connections));
@@ -109,8 +113,9 @@ fn connections_file(session: &Session, fleet: &str, robot: &str) -> Option<Findi
     let (_, answer) = answers.into_iter().next()?;
     let limits = Limits {
         robot: robot.to_owned(),
-        // The limit is a setting of the router that it does not report.
+        // These are settings of the router that it does not report.
         max_connections: usize::MAX,
+        option_folders: vec!["/".into()],
     };
     Some(match file::parse(answer["text"].as_str()?, &limits) {
         Ok(_) => Finding::good(

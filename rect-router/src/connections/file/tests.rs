@@ -9,6 +9,7 @@ fn limits() -> Limits {
     Limits {
         robot: "me".to_owned(),
         max_connections: MAX_CONNECTIONS,
+        option_folders: vec!["/etc/rect".into()],
     }
 }
 
@@ -86,6 +87,10 @@ fn reports_each_mistake_with_its_position() {
         (
             r#"{"name": "a", "method": "ble", "address": "b", "options": {"mtu": []}}"#,
             "2:67: an option must be",
+        ),
+        (
+            r#"{"name": "a", "method": "ble", "address": "b", "options": {"secret": "/root/key"}}"#,
+            "2:70: option secret: the file must be",
         ),
     ] {
         let mistake = mistake(&file(&[connection]));

@@ -1,4 +1,6 @@
 //! Tests the table of links: `cargo test -p zenoh-link-ble --lib link::table`
+use link_lanes::hello::HandshakeMessage;
+use serde::Deserialize;
 use zenoh_link_ble_radio::address::{Address, AddressType};
 
 use super::*;
@@ -202,4 +204,97 @@ fn plain_peers_are_identified_by_their_address() {
     let (verdict, _) = links.on_hello("me", None, device(5), 7, now, token());
     assert_eq!(verdict, Verdict::Accept);
     assert!(old.is_cancelled());
+}
+
+/// A hello and the decision about it: a case of `vectors/pair.json`, which an independent implementation
+/// (`tests/protocol/link_messages.py`) has written from `PROTOCOL.md`.
+#[derive(Deserialize)]
+struct Case {
+    case: String,
+    own: Peer,
+    max_links: usize,
+    links: Vec<Peer>,
+    dials: Vec<OwnDial>,
+    peer: Peer,
+    /// The code of the refusal.
+    answer: Option<u8>,
+    /// The links that end.
+    ended: Vec<usize>,
+    /// The dials that are cancelled.
+    cancelled: Vec<usize>,
+}
+
+/// A peer, or a link with it.
+#[derive(Deserialize)]
+struct Peer {
+    node: u64,
+    name: String,
+    address: u8,
+    /// Whether this node has dialled the link.
+    is_dialled: bool,
+    age_ms: u64,
+}
+
+#[derive(Deserialize)]
+struct OwnDial {
+    name: String,
+    is_hello_sent: bool,
+}
+
+impl Peer {
+    fn hello(&self) -> Hello {
+        hello(NodeId(self.node), &self.name)
+    }
+}
+
+fn indices(cancelled: &[CancellationToken]) -> Vec<usize> {
+    let cancelled = cancelled.iter().enumerate();
+    let cancelled = cancelled.filter(|(_, token)| token.is_cancelled());
+    cancelled.map(|(index, _)| index).collect()
+}
+
+#[test]
+fn hellos_are_decided_as_documented() {
+    let text = include_str!("../../../vectors/pair.json");
+    let cases: Vec<Case> = serde_json::from_str(text).expect("valid");
+    let now = Instant::now() + Duration::from_secs(3600);
+    for case in cases {
+        let mut table = LinkTable::new(NodeId(case.own.node));
+        let (mut ends, mut cancels) = (Vec::new(), Vec::new());
+        for link in &case.links {
+            let since = now - Duration::from_millis(link.age_ms);
+            let (peer, sender, end) = (link.hello(), device(link.address), token());
+            ends.push(end.clone());
+            if link.is_dialled {
+                let dial = table.on_dial(&to(&link.name), token()).expect("free");
+                let accepted = table.on_accepted(dial, Some(&peer), sender, since, end);
+                accepted.expect("the first link with it");
+            } else {
+                table.on_hello("", Some(&peer), sender, 99, since, end);
+            }
+        }
+        for dial in &case.dials {
+            cancels.push(token());
+            let cancel = cancels.last().expect("one").clone();
+            let number = table.on_dial(&to(&dial.name), cancel).expect("free");
+            if dial.is_hello_sent {
+                assert!(table.on_sending_hello(number));
+            }
+        }
+        let (verdict, _) = table.on_hello(
+            &case.own.name,
+            Some(&case.peer.hello()),
+            device(case.peer.address),
+            case.max_links,
+            now,
+            token(),
+        );
+        let answer = match verdict {
+            Verdict::Accept => None,
+            Verdict::Refuse(refusal) => HandshakeMessage::Refuse(refusal).encode().pop(),
+        };
+        assert_eq!(answer, case.answer, "{}", case.case);
+        assert_eq!(indices(&ends), case.ended, "{}", case.case);
+        assert_eq!(indices(&cancels), case.cancelled, "{}", case.case);
+    }
 }

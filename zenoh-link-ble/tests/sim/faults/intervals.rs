@@ -1,12 +1,25 @@
-//! Links that collide on the radio of one robot, because something else than RECT has set their intervals.
+//! Links that collide on the radio of one robot, because something else than RECT has set their intervals, and a central that
+//! cannot change the interval of an open link.
 use std::{sync::Arc, time::Duration};
 
+use link_lanes::{
+    goodbye::Goodbye,
+    hello::{Hello, IntervalUnits},
+    lanes::sdu::Content,
+};
 use tokio::time::{sleep, Instant};
 use zenoh_link_ble_air::{AirOptions, Arbitration, Condition, SimAir};
 use zenoh_link_ble_radio::{interval::ConnectionInterval, Radio};
 use zenoh_link_commons::LinkUnicast;
 
-use crate::shared::peer::Peer;
+use crate::{
+    contract::advertisement,
+    shared::{
+        listener::OPTIONS,
+        peer::{within, Peer},
+        raw::{hello, RawPeer},
+    },
+};
 
 /// Three robots: `far` is dialled by `middle`, and `middle` by `near`.
 struct Chain {
@@ -136,4 +149,87 @@ async fn starved_link_changes_its_interval() {
         } => {}
     }
     println!("another interval after {:?}", start.elapsed());
+}
+
+/// Returns the next connection interval that the peer announces, in units of 1.25 ms.
+async fn announced(raw: &mut RawPeer) -> u16 {
+    within("an interval", async {
+        loop {
+            let received = raw.receive().await.expect("the link is open");
+            if let Content::Interval(units) = received {
+                return units;
+            }
+        }
+    })
+    .await
+}
+
+/// Linux before 6.11 changes the interval only for the next connection.
+#[tokio::test(start_paused = true)]
+async fn central_announces_the_interval_in_force() {
+    for changes_open_connections in [true, false] {
+        let air = SimAir::new(AirOptions {
+            condition: Condition::Desk,
+            changes_open_connections,
+            ..AirOptions::default()
+        });
+        let near: Arc<dyn Radio> = air.radio("sim-near").await.expect("attaches");
+        let far: Arc<dyn Radio> = air.radio("sim-far").await.expect("attaches");
+        let preferred = near.default_interval().units();
+        let in_force = || {
+            let interval = Duration::from_micros(air.status().links[0].interval_us);
+            ConnectionInterval::nearest(interval).units()
+        };
+        let a = Peer::on(&near);
+        let mut requested = Vec::new();
+        for _ in 0..2 {
+            let listener = far.listen(None, OPTIONS).await.expect("listens");
+            let advertised = advertisement(listener.psm(), "raw");
+            let advertising = far.advertise(&advertised, "raw").await.expect("advertises");
+            // The peer has another link with the interval that the dialler prefers.
+            let intervals = IntervalUnits {
+                requested: None,
+                avoid: vec![preferred],
+            };
+            let own = Hello {
+                intervals: Some(intervals),
+                ..hello(6, "raw")
+            };
+            let accepting = async {
+                let channel = listener.accept().await.expect("accepts");
+                RawPeer::accept(channel, own).await
+            };
+            let (dialled, (mut raw, peer)) = tokio::join!(a.dial("ble/raw"), accepting);
+            let link = dialled.expect("dials");
+            requested.push(peer.intervals.and_then(|own| own.requested));
+            let is_first = requested.len() == 1;
+            if is_first && !changes_open_connections {
+                // Not the one that both sides have computed.
+                assert_eq!(announced(&mut raw).await, preferred);
+            }
+            sleep(Duration::from_secs(2)).await;
+            let expected = match (changes_open_connections, is_first) {
+                (true, _) => preferred + 1,
+                (false, true) => preferred,
+                (false, false) => preferred + 2,
+            };
+            assert_eq!(in_force(), expected, "{requested:?}");
+            if is_first {
+                raw.send(Content::Interval(preferred + 2)).await;
+                let answer = announced(&mut raw).await;
+                sleep(Duration::from_secs(2)).await;
+                assert_eq!(answer, in_force(), "{requested:?}");
+            }
+            raw.send(Content::Goodbye(Goodbye::Closing.code())).await;
+            assert_eq!(raw.receive_goodbye().await, None, "the channel is down");
+            drop(advertising);
+            let end = within("the end", link.read(&mut [0; 100], None)).await;
+            assert!(end.is_err());
+            link.close().await.expect("closes");
+        }
+        if !changes_open_connections {
+            let expected = [preferred, preferred + 2].map(Some);
+            assert_eq!(requested, expected, "the next dial requests the other one");
+        }
+    }
 }

@@ -330,3 +330,26 @@ fn memory_of_finished_transfers_is_bounded() {
         .on_ended(sample(5).id(&name("wombat-2")), &Ok(()));
     assert_eq!(bench.admission.ended.len(), ENDED, "an unknown transfer");
 }
+
+#[test]
+fn a_program_that_takes_nothing_has_no_room() {
+    let mut bench = Bench::new("*/**");
+    let offers = [1, 2, 3].map(|call| of("wombat-1", call));
+    let first = bench.accept(&offers[0]);
+    let second = bench.accept(&offers[1]);
+    let answer = |bench: &mut Bench, offer| match bench.offer(offer) {
+        Decision::Running(_, answer) | Decision::Answer(answer) => answer,
+    };
+    bench.admission.on_untaken(first);
+    assert_eq!(answer(&mut bench, &offers[0]), Answer::NotTaken);
+    let running = Answer::Running { received_bytes: 0 };
+    assert_eq!(answer(&mut bench, &offers[1]), running);
+    assert_eq!(answer(&mut bench, &offers[2]), Answer::Busy, "one arrives");
+    bench.admission.on_untaken(second);
+    assert_eq!(answer(&mut bench, &offers[2]), Answer::NotTaken);
+    // The places of other senders are free.
+    bench.accept(&of("wombat-3", 4));
+    bench.admission.on_ended(first, &Ok(()));
+    assert_eq!(answer(&mut bench, &offers[0]), Answer::Done);
+    bench.accept(&offers[2]);
+}

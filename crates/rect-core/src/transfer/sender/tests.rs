@@ -105,50 +105,65 @@ fn asks_for_the_outcome_as_soon_as_the_receiver_has_finished() {
 
 #[test]
 fn a_running_program_takes_precedence_over_other_answers() {
-    let running = Answer::Running { received_bytes: 1 };
+    let running = || Answer::Running { received_bytes: 1 };
     let failed = || Answer::Failed(Fault::Checksum);
     let not_accepted = || Answer::Refused(Refusal::NotAccepted);
     let too_large = || Answer::Refused(Refusal::TooLarge { limit_bytes: 1 });
     let cases = [
         (vec![], None),
-        (vec![Answer::Done, running], None),
-        (vec![not_accepted(), Answer::Busy], None),
+        (vec![Answer::Done, running()], Some(running())),
+        (vec![not_accepted(), Answer::Busy], Some(Answer::Busy)),
         (
-            vec![not_accepted(), Answer::Done, failed()],
-            Some(Outcome::Done),
+            vec![not_accepted(), Answer::Done, Answer::NotTaken],
+            Some(Answer::Done),
         ),
         (
-            vec![not_accepted(), failed()],
-            Some(Outcome::Failed(Fault::Checksum)),
+            vec![not_accepted(), failed(), Answer::NotTaken],
+            Some(Answer::NotTaken),
         ),
-        (
-            vec![not_accepted(), too_large()],
-            Some(Outcome::Refused(Refusal::TooLarge { limit_bytes: 1 })),
-        ),
-        (
-            vec![not_accepted()],
-            Some(Outcome::Refused(Refusal::NotAccepted)),
-        ),
+        (vec![not_accepted(), failed()], Some(failed())),
+        (vec![not_accepted(), too_large()], Some(too_large())),
+        (vec![not_accepted()], Some(not_accepted())),
     ];
     for (answers, expected) in cases {
-        assert_eq!(settled(&answers), expected, "{answers:?}");
+        assert_eq!(combined(&answers), expected.as_ref(), "{answers:?}");
+    }
+}
+
+/// Offers the transfer until it has ended, and returns the outcome and how long it took.
+fn answered(answers: &[Answer], timeout: Duration) -> (Outcome, Duration) {
+    let (mut sender, start) = sender(Some(timeout));
+    let mut now = start;
+    loop {
+        match sender.poll(now) {
+            Step::Offer(_) => sender.on_answers(now, answers),
+            Step::Wait(until) => now = until,
+            Step::Finished(outcome) => return (outcome, now - start),
+        }
+        if now > start + timeout * 100 {
+            panic!("{answers:?}: no outcome");
+        }
     }
 }
 
 #[test]
 fn fails_after_the_timeout() {
     let timeout = Duration::from_secs(30);
-    let (mut sender, start) = sender(Some(timeout));
-    let mut now = start;
-    let outcome = loop {
-        match sender.poll(now) {
-            Step::Offer(_) => sender.on_answers(now, &[]),
-            Step::Wait(until) => now = until,
-            Step::Finished(outcome) => break outcome,
-        }
-    };
+    let (outcome, took) = answered(&[], timeout);
     assert!(matches!(outcome, Outcome::NoAnswer(silent) if silent > timeout));
-    assert!(now < start + timeout + LAST_PAUSE * 2);
+    assert!(took < timeout + LAST_PAUSE * 2);
+}
+
+#[test]
+fn fails_after_the_timeout_if_the_program_takes_no_transfers() {
+    let timeout = Duration::from_secs(30);
+    // Another program of that robot receives other topics.
+    let others = Answer::Refused(Refusal::NotAccepted);
+    for answers in [&[Answer::NotTaken][..], &[others, Answer::NotTaken]] {
+        let (outcome, took) = answered(answers, timeout);
+        assert!(matches!(outcome, Outcome::NotTaken(untaken) if untaken > timeout));
+        assert!(took < timeout + LAST_PAUSE * 2);
+    }
 }
 
 #[test]

@@ -87,8 +87,9 @@ impl Transfer {
         self
     }
 
-    /// Sets the time without any message from the receiver after which the transfer fails with [`Error::TimedOut`]. By
-    /// default, there is no limit: the transfer waits until the receiver is reachable again.
+    /// Sets the time after which the transfer fails with [`Error::TimedOut`] if the receiver sends no message, or if its program
+    /// takes none of the transfers that have arrived. By default, there is no limit: the transfer waits until the receiver is
+    /// reachable again. The program may still take a transfer that has failed in this way.
     pub fn timeout(mut self, timeout: Duration) -> Self {
         self.timeout = Some(timeout);
         self

@@ -171,7 +171,10 @@ impl Reception {
         report_end: impl FnOnce(),
     ) {
         // A transfer is complete only if the program will receive it. Until a slow program reads the previous ones, this
-        // thread waits, and the transfer counts as running.
+        // thread waits, and the transfer keeps its place.
+        if let Some(reception) = &self.state().reception {
+            reception.driver().on_untaken(id);
+        }
         let room = match &content {
             Err(Fault::Stopped) => None,
             _ => {

@@ -124,6 +124,7 @@ impl Network {
             device,
             default,
             is_central,
+            can_change: true,
         };
         let offered = Some(self.tables[central].for_dial(devices[1], default));
         let listener = &mut self.tables[peripheral];

@@ -1,9 +1,15 @@
-//! Tests the files of recordings: files that break off at any byte, and a disk that fails: `cargo test -p rect-recording`
+//! Tests the files of recordings: files that break off at any byte or are damaged, files of other programs, what viewers show, and a
+//! disk that fails: `cargo test -p rect-recording`
+mod damage;
+mod foreign;
+mod viewers;
+
 use std::{
     collections::BTreeMap,
     fs,
     io::Cursor,
     path::Path,
+    process::{self, Command},
     time::{Duration, Instant},
 };
 
@@ -12,7 +18,9 @@ use rect_core::{
     name::{topic::Topic, Name},
 };
 use rect_recording::{
-    file::OpenFile, segments, Entry, ReadError, Reader, Recorder, Settings, Split,
+    file::OpenFile,
+    segments::{self, Segments},
+    Entry, ReadError, Reader, Recorder, Settings, Split,
 };
 
 /// Timeout of one step of a test, long enough for a busy computer.
@@ -33,6 +41,7 @@ fn entry(sequence: u32) -> Entry {
         publisher: (kind == 0).then_some(7),
         logged,
         sent: logged - Duration::from_millis(3),
+        foreign: None,
     }
 }
 
@@ -150,7 +159,8 @@ fn file_that_promises_a_long_string_is_damaged() {
     let metadata = [&[12, 8, 0, 0, 0, 0, 0, 0, 0][..], &[0; 4], &[0xff; 4]];
     for record in [channel, metadata] {
         let file = [&magic[..], &record.concat()].concat();
-        let mut reader = Reader::of("x.mcap".into(), Cursor::new(file));
+        let reader = Reader::of("x.mcap".into(), Cursor::new(file));
+        let mut reader = reader.expect("opened");
         assert!(matches!(
             reader.next(),
             Some(Err(ReadError::Damaged { .. }))
@@ -210,6 +220,93 @@ fn nothing_is_lost_while_the_disk_fails_for_a_while() {
     let numbers: Vec<_> = entries.iter().map(|entry| entry.sequence).collect();
     assert_eq!(numbers, (0..500).collect::<Vec<_>>());
     assert!(!parts.exists(), "the parts are removed");
+}
+
+/// Runs a test in a process of its own, for which a file that is too large is an error. Returns whether this is that process.
+fn runs_alone(test: &str) -> bool {
+    const ALONE: &str = "RECT_TEST_ALONE";
+    if std::env::var_os(ALONE).is_some() {
+        return true;
+    }
+    let program = std::env::current_exe().expect("this program");
+    let run = r#"trap '' XFSZ; exec "$0" --exact "$1" --nocapture"#;
+    let mut command = Command::new("sh");
+    command.args(["-c", run]).arg(program).arg(test);
+    let status = command.env(ALONE, "1").status().expect("started");
+    assert!(status.success(), "{test}");
+    false
+}
+
+/// Limits the size of the files that this process writes.
+fn limit_files(bytes: &str) {
+    let mut command = Command::new("prlimit");
+    command.arg(format!("--pid={}", process::id()));
+    command.arg(format!("--fsize={bytes}:unlimited"));
+    let status = command.status().expect("util-linux has `prlimit`");
+    assert!(status.success());
+}
+
+#[test]
+fn file_that_cannot_be_begun_does_not_end_the_recording() {
+    if !runs_alone("file_that_cannot_be_begun_does_not_end_the_recording") {
+        return;
+    }
+    let folder = tempfile::tempdir().expect("a folder");
+    let recorder = Recorder::start(Settings {
+        path: folder.path().join("match.mcap"),
+        about: about(),
+        keep: None,
+        split: Split::default(),
+    })
+    .expect("started");
+    // A file can be created, but not its header.
+    limit_files("0");
+    for number in 0..100 {
+        recorder.on_message(message(number, Urgency::Normal));
+    }
+    wait_until("the problem is reported", || {
+        recorder.progress().problem.is_some()
+    });
+    limit_files("unlimited");
+    wait_until("it is written again", || recorder.progress().written == 100);
+    let (files, progress) = recorder.finish().expect("one file");
+    assert_eq!((progress.written, progress.dropped), (100, 0));
+    assert_eq!(read(&files[0]).0.len(), 100);
+}
+
+#[test]
+fn part_continues_if_the_next_one_cannot_be_begun() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = segments::folder_of(&folder.path().join("match.mcap"));
+    let mut written = Segments::create(path.clone(), about(), None).expect("created");
+    let renamed = folder.path().join("match-1.segments");
+    // Its folder cannot be made.
+    let next = path.with_extension("next");
+    fs::write(&next, "").expect("written");
+    assert!(written.continue_elsewhere(&renamed).is_err());
+    written.write(entry(0)).expect("written");
+    written.finish(entry(0).logged).expect("on the disk");
+    fs::remove_file(&next).expect("removed");
+    written.continue_elsewhere(&renamed).expect("continued");
+    written.write(entry(1)).expect("written");
+    written.finish(entry(1).logged).expect("on the disk");
+    assert_eq!(read(&renamed).0, [entry(0)]);
+    assert_eq!(read(&path).0, [entry(1)]);
+    assert!(!next.exists());
+}
+
+#[test]
+fn what_a_failure_has_left_does_not_end_the_recording() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("match.segments");
+    let mut written = Segments::create(path.clone(), about(), None).expect("created");
+    fs::write(path.join("000001.mcap.part"), "").expect("written");
+    assert!(written.write(entry(0)).is_err());
+    for entry in written.abandon() {
+        written.write(entry).expect("written");
+    }
+    written.finish(entry(0).logged).expect("on the disk");
+    assert_eq!(read(&path).0, [entry(0)]);
 }
 
 #[test]
