@@ -1,6 +1,6 @@
 //! Parses untrusted lists of connections. The parser must accept a list completely, or return one error with its
 //! position in the text.
-use rect_router::connections::file::{parse, Limits};
+use rect_connections::file::{parse, Limits};
 
 const MAX_CONNECTIONS: usize = 8;
 

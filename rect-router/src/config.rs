@@ -21,7 +21,7 @@ pub(crate) use self::error::ConfigError;
 pub use self::listener_check::{listener_problems, MAX_SOCKET_PATH};
 pub use self::login::{exposed_login_file, read_login_file, ExposedLogins};
 use self::login::{log_in_as, logins};
-pub use self::settings::{AutoConnect, AutoConnectRule, SessionSettings, Settings, MAX_AUTO_LINKS};
+pub use self::settings::{SessionSettings, Settings};
 use crate::args::Args;
 
 /// Builds the configuration that the flags describe, and separates RECT's own settings from it.

@@ -1,11 +1,8 @@
 //! Keeps the named connections of a router, and applies the changes of the connections file to them.
 mod connection;
 mod edit;
-pub mod file;
 mod fleet;
 mod observed;
-mod option_files;
-pub mod spec;
 mod store;
 mod watcher;
 
@@ -19,23 +16,26 @@ use std::{
 };
 
 use parking_lot::Mutex;
+use rect_connections::{
+    file::{self, FileContents, FileError, Limits},
+    option_files,
+    spec::Spec,
+    AutoConnect, AutoConnectRule,
+};
 use serde::Serialize;
 use zenoh_link_placeholder::Placeholders;
 
 pub use self::{
     connection::{link, LastError, LinkEnds, Snapshot},
     edit::{Edit, EditError},
-    file::FileError,
     fleet::FleetConnector,
     watcher::FileWatch,
 };
 use self::{
     connection::{ConnectionDialler, NamedConnection},
-    file::{FileContents, Limits},
-    spec::Spec,
     store::{revision, Store},
 };
-use crate::config::{AutoConnect, AutoConnectRule, Settings};
+use crate::config::Settings;
 
 /// Time between the reply to a change and the end of the links that the change closes: the reply may travel over one of
 /// them.
@@ -336,9 +336,10 @@ impl fmt::Display for Changes {
 
 #[cfg(test)]
 mod tests {
+    use rect_connections::spec::RawSpec;
     use serde_json::json;
 
-    use super::{spec::RawSpec, *};
+    use super::*;
 
     fn spec(name: &str, address: &str) -> Spec {
         let written = RawSpec {

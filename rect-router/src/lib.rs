@@ -14,7 +14,6 @@ pub mod memory;
 mod paths;
 pub mod privileges;
 pub mod registry;
-mod regular_file;
 pub mod robot_services;
 pub mod router;
 mod self_check;

@@ -6,7 +6,6 @@ pub mod document;
 mod presence;
 mod publisher;
 mod radio;
-pub mod selector;
 mod sockets;
 mod uptime;
 
@@ -19,7 +18,10 @@ use std::{
 };
 
 use rect_core::{
-    registry::connection::{Connection, ConnectionState as State, Failure, PeerId, Traffic},
+    registry::{
+        connection::{Connection, ConnectionState as State, Failure, PeerId, Traffic},
+        selector::Selector,
+    },
     text::humanize,
 };
 use serde::Serialize;
@@ -35,7 +37,6 @@ use self::{
     presence::Presence,
     publisher::{publish, Change},
     radio::Radio,
-    selector::Selector,
     sockets::Sockets,
     uptime::Uptime,
 };
@@ -114,7 +115,7 @@ impl Registry {
         })?;
         sources.answer(own, "peers", |connections, selector| {
             let mut peers = peers(connections);
-            peers.retain(|peer| selector.matches_peer(peer));
+            peers.retain(|peer| selector.matches_peer(peer.connections.len()));
             peers
         })?;
         let (id, start) = (session.zid().to_string(), Instant::now());
@@ -164,7 +165,7 @@ impl Sources {
         let (sources, key) = (Arc::clone(self), format!("{own}/{name}"));
         let key_of_answer = key.clone();
         let on_query = move |query: Query| {
-            let made = Selector::parse(query.parameters()).and_then(|selector| {
+            let made = Selector::parse(query.parameters().iter()).and_then(|selector| {
                 let mut connections = sources.connections(&Sockets::open());
                 connections.retain(|connection| selector.matches(connection));
                 serde_json::to_vec(&make(connections, &selector)).map_err(|e| e.to_string())

@@ -2,11 +2,12 @@
 //! config service that changes them, and the answers about the topics of its programs.
 use std::sync::Arc;
 
+use rect_connections::{AutoConnect, MAX_AUTO_LINKS};
 use rect_core::text::humanize;
 use zenoh::{Config, Session, Wait};
 
 use crate::{
-    config::{self, AutoConnect, Settings, MAX_AUTO_LINKS},
+    config::{self, Settings},
     config_service,
     connections::{Connections, FileWatch, FleetConnector},
     registry::Registry,

@@ -1,7 +1,9 @@
-//! Drives questions to the registry of a router, and changes of its named connections (docs/reference/registry.md).
+//! Drives questions to the registry of a router, and changes of its named connections (docs/reference/registry.md); parses the
+//! questions that a registry receives ([`selector`]).
 pub mod connection;
 pub mod named_connection;
 pub mod observer;
+pub mod selector;
 pub mod topics;
 
 use std::time::Instant;

@@ -1,8 +1,8 @@
 //! Makes the configuration of a router that many fleets share from `config/cloud.json5`, and the connection to such a router.
+use rect_connections::spec::{RawSpec, Spec};
 use serde_json::json;
 
 use super::Failure;
-use crate::connections::spec::{RawSpec, Spec};
 
 const TEMPLATE: &str = include_str!("../../../config/cloud.json5");
 /// The fleets of the template. Each line that belongs to one contains its name after a quotation mark.

@@ -6,11 +6,11 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use rect_connections::regular_file;
 use rect_core::session::login;
 use zenoh::Config;
 
 use super::ConfigError;
-use crate::regular_file;
 
 /// Maximum size of a login file in bytes; enough for about ten thousand users.
 const MAX_BYTES: u64 = 1 << 20;

@@ -2,8 +2,9 @@
 //! They are removed from the configuration afterwards, as Zenoh would look for a plugin of that name.
 use std::path::PathBuf;
 
+use rect_connections::{AutoConnect, AutoConnectRule, MAX_AUTO_LINKS};
 use rect_core::name::Name;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use serde_json::Value;
 use zenoh::Config;
 
@@ -16,47 +17,6 @@ const MAX_CONNECTIONS: usize = 1000;
 /// Default of `auto_links`. The controller of a Raspberry Pi supports about 7 links, other robots dial too, and Zenoh
 /// routes through the rest of the fleet.
 const DEFAULT_AUTO_LINKS: usize = 3;
-/// Maximum of `auto_links`: the number of links that a controller supports.
-pub const MAX_AUTO_LINKS: usize = 7;
-
-/// The robots that this robot connects to automatically.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum AutoConnect {
-    /// No robot: the router only accepts links.
-    None,
-    /// The entries of the connections file.
-    #[default]
-    Listed,
-    /// The entries of the connections file and robots of the fleet that are discovered by Bluetooth.
-    Fleet,
-}
-
-impl AutoConnect {
-    /// Parses `none`, `listed` or `fleet`; `None` for any other text.
-    pub fn parse(text: &str) -> Option<Self> {
-        serde_json::from_value(text.into()).ok()
-    }
-}
-
-/// The rule for automatic connections, from the settings or from the connections file, which overrides them.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct AutoConnectRule {
-    /// Robots to connect to.
-    pub auto_connect: AutoConnect,
-    /// With [`AutoConnect::Fleet`], the number of links to discovered robots in addition to the listed ones.
-    pub auto_links: usize,
-}
-
-impl AutoConnectRule {
-    /// Returns the number of discovered robots of the fleet to dial.
-    pub fn dials(&self) -> usize {
-        match self.auto_connect {
-            AutoConnect::Fleet => self.auto_links,
-            AutoConnect::None | AutoConnect::Listed => 0,
-        }
-    }
-}
 
 /// RECT's settings in the configuration: `plugins: { rect: { ... } }`.
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]

@@ -6,6 +6,10 @@ use std::{
 
 use async_trait::async_trait;
 use parking_lot::Mutex;
+use rect_connections::{
+    option_files::{self, LocalError},
+    spec::Spec,
+};
 use rect_core::registry::connection::Traffic;
 use zenoh_link_placeholder::Dial;
 use zenoh_link_table::{
@@ -14,11 +18,7 @@ use zenoh_link_table::{
 };
 use zenoh_result::{Error, ZResult};
 
-use super::{
-    observed::{LinkObserver, ObservedLink},
-    option_files::{self, LocalError},
-    spec::Spec,
-};
+use super::observed::{LinkObserver, ObservedLink};
 
 /// A connection of the connections file.
 pub struct NamedConnection {

@@ -2,12 +2,11 @@
 use std::{borrow::Cow, io};
 
 use jsonc_parser::cst::{CstArray, CstInputValue, CstObject, CstRootNode};
-use serde_json::Value;
-
-use super::{
+use rect_connections::{
     file::{self, Limits, Mistake},
-    spec::Spec,
+    spec::{Spec, MAX_NAME},
 };
+use serde_json::Value;
 
 /// The text to edit if there is no file yet.
 const EMPTY: &str = "{\n  \"connections\": []\n}\n";
@@ -106,7 +105,7 @@ fn removed(text: &str, name: &str, limits: &Limits) -> Result<String, EditError>
     if before.iter().all(|spec| spec.name != name) {
         let existing: Vec<_> = before.iter().map(|spec| spec.name.as_str()).collect();
         return Err(EditError::NoSuch {
-            name: name.chars().take(super::spec::MAX_NAME).collect(),
+            name: name.chars().take(MAX_NAME).collect(),
             existing: if existing.is_empty() {
                 "none".to_owned()
             } else {

@@ -3,12 +3,12 @@ use std::sync::Arc;
 
 use async_trait::async_trait;
 use parking_lot::Mutex;
+use rect_connections::{AutoConnect, AutoConnectRule};
 use zenoh_link_placeholder::{Dial, Placeholders};
 use zenoh_link_table::{EndPoint, LinkUnicast, NewLinkChannelSender};
 use zenoh_result::ZResult;
 
 use super::connection::link;
-use crate::config::{AutoConnect, AutoConnectRule};
 
 /// Keeps a number of dials to discovered robots of the fleet open.
 pub struct FleetConnector {

@@ -7,10 +7,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
+use rect_connections::{file::MAX_BYTES, regular_file};
 use sha2::{Digest, Sha256};
-
-use super::file::MAX_BYTES;
-use crate::regular_file;
 
 /// Prefix of the name of a temporary file, followed by the name of the file that it replaces and a dash.
 const TEMPORARY_PREFIX: &str = ".new-";

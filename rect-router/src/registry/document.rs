@@ -2,10 +2,9 @@
 //! the library.
 use std::collections::BTreeMap;
 
+use rect_connections::AutoConnect;
 use rect_core::registry::connection::{Connection, ConnectionState as State, PeerId};
 use serde::Serialize;
-
-use crate::config::AutoConnect;
 
 /// A peer with the connections to it.
 #[derive(Clone, Debug, PartialEq, Serialize)]

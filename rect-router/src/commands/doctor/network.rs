@@ -1,5 +1,6 @@
 //! Checks the connections of this computer: its router, its peers and their clocks.
 
+use rect_connections::file::{self, Limits};
 use rect_core::{
     registry::named_connection::CONFIG,
     text::{display, humanize::short_reason},
@@ -12,7 +13,6 @@ use super::login;
 use crate::{
     args::DoctorArgs,
     commands::client::{answers, session},
-    connections::file::{self, Limits},
     doctor::{declarations, encryption, names, radio, Finding},
     registry::now_s,
 };

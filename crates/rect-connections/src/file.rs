@@ -14,17 +14,14 @@ use jsonc_parser::{
     parse_to_ast, ParseOptions,
 };
 
-use super::{
-    option_files,
-    spec::{RawSpec, Spec, SpecError},
-};
 use crate::{
-    config::{AutoConnect, MAX_AUTO_LINKS},
-    regular_file,
+    option_files, regular_file,
+    spec::{RawSpec, Spec, SpecError},
+    AutoConnect, MAX_AUTO_LINKS,
 };
 
 /// Maximum size of a file in bytes; enough for about ten thousand connections.
-pub(super) const MAX_BYTES: u64 = 1 << 20;
+pub const MAX_BYTES: u64 = 1 << 20;
 
 /// The reason why a connections file was rejected.
 #[derive(Debug, thiserror::Error)]
@@ -135,7 +132,7 @@ pub fn parse(text: &str, limits: &Limits) -> Result<FileContents, Mistake> {
 }
 
 /// Returns options for JSON with comments and trailing commas, but no other extensions.
-pub(super) fn json_with_comments() -> ParseOptions {
+pub fn json_with_comments() -> ParseOptions {
     ParseOptions {
         allow_comments: true,
         allow_trailing_commas: true,

@@ -1,8 +1,5 @@
 //! Parses the parameters of a query to the registry, such as `?method=ble;state=connected`.
-use rect_core::registry::connection::{Connection, ConnectionState as State};
-use zenoh::query::Parameters;
-
-use super::document::Peer;
+use super::connection::{Connection, ConnectionState as State};
 
 /// Selects connections. An omitted parameter matches every connection.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -18,13 +15,13 @@ const KNOWN_PARAMETERS: &str =
     "method, name, peer, state (connected, connecting or discovered), min_connections";
 
 impl Selector {
-    /// Parses the parameters of a query. Parameters that begin with `_` are Zenoh's own and are ignored.
+    /// Parses the parameters of a query, given as keys with values. Keys that begin with `_` are Zenoh's own and are ignored.
     ///
     /// # Errors
     /// A message for the requester if a parameter is unknown, empty or invalid.
-    pub fn parse(parameters: &Parameters<'_>) -> Result<Self, String> {
+    pub fn parse<'a>(parameters: impl Iterator<Item = (&'a str, &'a str)>) -> Result<Self, String> {
         let mut selector = Self::default();
-        for (key, value) in parameters.iter() {
+        for (key, value) in parameters {
             if key.is_empty() || key.starts_with('_') {
                 continue;
             }
@@ -64,10 +61,10 @@ impl Selector {
             && self.peer.as_ref().is_none_or(is_peer)
     }
 
-    /// Returns whether a peer matches, whose `connections` have been reduced to those that match. It needs at least
-    /// `min_connections` of them, by default one.
-    pub fn matches_peer(&self, peer: &Peer) -> bool {
-        peer.connections.len() >= self.min_connections.unwrap_or(1)
+    /// Returns whether a peer matches that has so many matching connections. It needs at least `min_connections` of them, by
+    /// default one.
+    pub fn matches_peer(&self, connections: usize) -> bool {
+        connections >= self.min_connections.unwrap_or(1)
     }
 }
 
@@ -77,7 +74,10 @@ mod tests {
 
     #[test]
     fn parses_parameters_and_names_invalid_ones() {
-        let parse = |text: &str| Selector::parse(&Parameters::from(text));
+        let parse = |text: &str| {
+            let parameters = text.split(';').filter(|parameter| !parameter.is_empty());
+            Selector::parse(parameters.map(|one| one.split_once('=').unwrap_or((one, ""))))
+        };
         let read =
             parse("method=ble;state=connected;_time=[now()];min_connections=2").expect("valid");
         assert_eq!(read.method.as_deref(), Some("ble"));

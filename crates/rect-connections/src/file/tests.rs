@@ -1,4 +1,4 @@
-//! Tests of the parser of connections files: `cargo test -p rect-router --lib connections::file`
+//! Tests of the parser of connections files: `cargo test -p rect-connections file`
 use std::{fs::File, io::Write};
 
 use super::*;
