@@ -112,9 +112,10 @@ fn a_program_with_many_declarations_waits_and_is_reported() {
     }
     router.wait_for("declares more than 50 subscribers, services and tokens per second");
     let status = ask(&other, "rect/wombat-1/@rect/status").expect("an answer");
+    // At most what is left after the first 200, and less if declaring them took a while.
     let delayed = status["delayed_declarations"].as_u64();
     assert!(
-        (50..=100).contains(&delayed.expect("a number")),
+        (1..=100).contains(&delayed.expect("a number")),
         "{status:#}"
     );
     assert!(

@@ -61,8 +61,7 @@ impl Selector {
             && self.peer.as_ref().is_none_or(is_peer)
     }
 
-    /// Returns whether a peer matches that has so many matching connections. It needs at least `min_connections` of them, by
-    /// default one.
+    /// Returns whether a peer with `connections` matching connections matches: it needs `min_connections`, by default one.
     pub fn matches_peer(&self, connections: usize) -> bool {
         connections >= self.min_connections.unwrap_or(1)
     }
