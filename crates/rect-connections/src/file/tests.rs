@@ -150,7 +150,7 @@ fn a_file_may_override_the_rule_for_automatic_connections() {
 /// An editor that uses the schema accepts the same files as the router.
 #[test]
 fn the_schema_and_the_parser_agree() {
-    let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("../config");
+    let config = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../config");
     let text = |name| std::fs::read_to_string(config.join(name)).expect("a file");
     let schema = serde_json::from_str(&text("connections.schema.json")).expect("JSON");
     let schema = jsonschema::validator_for(&schema).expect("a schema");
