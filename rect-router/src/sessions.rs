@@ -4,7 +4,7 @@ use std::{any::Any, sync::Arc};
 
 use zenoh::Result as ZResult;
 use zenoh_link_table::{
-    succession::{Session, ZenohNode, ZenohPair},
+    succession::{wait_for_writers, Session, ZenohNode, ZenohPair},
     Link,
 };
 use zenoh_protocol::network::NetworkMessageMut;
@@ -59,7 +59,9 @@ impl TransportPeerEventHandler for ReportedSession {
 
     fn new_link(&self, _link: Link) {}
 
-    fn del_link(&self, _link: Link) {}
+    fn del_link(&self, link: Link) {
+        wait_for_writers(&link.src, &link.dst);
+    }
 
     fn closed(&self) {
         self.0.on_closed();

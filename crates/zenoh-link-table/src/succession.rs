@@ -10,8 +10,9 @@
 //! sides have released the old one. `ledger` decides, and is given the time.
 //!
 //! A message that waits for a link occupies one of Zenoh's threads, and Zenoh waits for that message while it closes the link
-//! itself, for as long as `wait_before_close`. A link that fails releases both at once. Therefore a link fails shortly before
-//! Zenoh's lease ends, and the tasks that write learn of each end before those that read.
+//! itself, for as long as `wait_before_close`. A link that fails releases both at once, if all tasks that write to it fail before
+//! Zenoh cancels them. Therefore a link fails shortly before Zenoh's lease ends, the tasks that write learn of each end before
+//! those that read, and Zenoh removes a link only when none writes any more ([`wait_for_writers`]).
 //!
 //! Nothing of this applies until [`enable`] is called; without that call, this crate behaves like the published one. A router
 //! reports its sessions with [`Session`]. Without these reports, a session counts as released when its links are.
@@ -37,17 +38,19 @@ use parking_lot::Mutex;
 use tokio::{sync::Notify, time::Instant};
 use tokio_util::sync::CancellationToken;
 use zenoh_link_commons::{LinkManagerUnicast, LinkUnicast, NewLinkChannelSender};
-use zenoh_protocol::core::{WhatAmI, ZenohIdProto};
+use zenoh_protocol::core::{Locator, WhatAmI, ZenohIdProto};
 use zenoh_runtime::ZRuntime;
 
 use self::{
     ledger::{HoldId, LastReceived, Ledger, Step},
-    link::SucceedingLink,
+    link::{SucceedingLink, Writers},
     manager::SucceedingManager,
 };
 
 /// How long a link waits for its predecessor. Then it fails, and is dialled again.
 const MAX_WAIT: Duration = Duration::from_millis(2500);
+/// How long the tasks that write to a link may take to notice that it has ended.
+const WRITERS_FAIL: Duration = Duration::from_millis(500);
 /// The longest time between two looks at a predecessor that may become silent.
 const POLL: Duration = Duration::from_millis(100);
 
@@ -59,9 +62,17 @@ static CHANGED: Notify = Notify::const_new();
 #[derive(Default)]
 struct State {
     ledger: Ledger,
-    /// Cancelled to end a link.
-    ends: HashMap<HoldId, CancellationToken>,
+    ends: HashMap<HoldId, LinkEnd>,
     channels: Vec<Channel>,
+}
+
+/// What ends a link that has completed its handshake.
+struct LinkEnd {
+    src: Locator,
+    dst: Locator,
+    writers: Arc<Writers>,
+    /// Cancelled to end the link.
+    ended: CancellationToken,
 }
 
 /// The channel through which a runtime of Zenoh receives accepted links, and the one that leads there through this module.
@@ -175,13 +186,8 @@ impl Drop for Session {
 struct Hold(HoldId);
 
 impl Hold {
-    /// Records that a link has completed its handshake. `lease` is that of the peer, and `end` is cancelled to end the link.
-    fn new(
-        pair: ZenohPair,
-        received: Arc<LastReceived>,
-        lease: Duration,
-        end: CancellationToken,
-    ) -> Self {
+    /// Records that a link has completed its handshake. `lease` is that of the peer.
+    fn new(pair: ZenohPair, received: Arc<LastReceived>, lease: Duration, end: LinkEnd) -> Self {
         let mut state = STATE.lock();
         let id = state.ledger.on_link(pair, received, lease);
         state.ends.insert(id, end);
@@ -215,9 +221,23 @@ impl State {
         for id in links {
             self.ledger.on_link_ended(*id);
             if let Some(end) = self.ends.get(id) {
-                end.cancel();
+                end.ended.cancel();
             }
         }
+    }
+}
+
+/// Blocks while tasks of Zenoh write to a link that has ended, for [`WRITERS_FAIL`] at most. Zenoh is about to cancel these tasks. One
+/// that is cancelled rather than fails waits for the program's message that waits for it, and so nothing of the session is released.
+pub fn wait_for_writers(src: &Locator, dst: &Locator) {
+    let writers = {
+        let state = STATE.lock();
+        let mut ends = state.ends.values();
+        let end = ends.find(|end| end.src == *src && end.dst == *dst);
+        end.map(|end| Arc::clone(&end.writers))
+    };
+    if let Some(writers) = writers {
+        writers.wait_until_none(std::time::Instant::now() + WRITERS_FAIL);
     }
 }
 

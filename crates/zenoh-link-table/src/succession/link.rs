@@ -9,7 +9,7 @@ use std::{
 };
 
 use async_trait::async_trait;
-use parking_lot::Mutex;
+use parking_lot::{Condvar, Mutex};
 use tokio::time::{sleep, sleep_until, timeout, Instant};
 use tokio_util::{sync::CancellationToken, task::AbortOnDropHandle};
 use zenoh_link_commons::{LinkAuthId, LinkUnicast, LinkUnicastTrait, NewLink};
@@ -22,7 +22,7 @@ use zenoh_result::{zerror, Error, ZResult};
 use super::{
     handshake::{decode, Message},
     ledger::LastReceived,
-    wait_for_predecessor, Hold, ZenohNode, ZenohPair,
+    wait_for_predecessor, Hold, LinkEnd, ZenohNode, ZenohPair,
 };
 
 /// The longest lease that a peer may announce. A longer one counts as this one.
@@ -30,7 +30,7 @@ const MAX_LEASE: Duration = Duration::from_secs(24 * 3600);
 /// How long before the end of Zenoh's lease a silent link fails, as a share of the lease.
 const EARLIER: u32 = 20;
 /// How long after the tasks that write the tasks that read learn of the end. Zenoh's messages that wait for a link are released
-/// when its writer fails, and block Zenoh's close if its reader fails before.
+/// when its writers fail, and block Zenoh's close if its reader fails before.
 const SETTLE: Duration = Duration::from_millis(100);
 /// Number of bytes of the length before a batch on a streamed link.
 const LENGTH_BYTES: usize = size_of::<BatchSize>();
@@ -42,6 +42,7 @@ pub(super) struct SucceedingLink {
     handshake: Mutex<Handshake>,
     received: Arc<LastReceived>,
     reads: Arc<Reads>,
+    writers: Arc<Writers>,
     established: OnceLock<Established>,
     ended: CancellationToken,
 }
@@ -89,6 +90,7 @@ impl SucceedingLink {
                 waiting: AtomicUsize::new(0),
                 since: LastReceived::new(Instant::now().into_std()),
             }),
+            writers: Arc::default(),
             established: OnceLock::new(),
             ended: CancellationToken::new(),
         })
@@ -154,7 +156,12 @@ impl SucceedingLink {
                 pair,
                 Arc::clone(&self.received),
                 lease,
-                self.ended.clone(),
+                LinkEnd {
+                    src: self.link.get_src().clone(),
+                    dst: self.link.get_dst().clone(),
+                    writers: Arc::clone(&self.writers),
+                    ended: self.ended.clone(),
+                },
             ));
             let watching = watch(
                 Arc::downgrade(&hold),
@@ -184,6 +191,7 @@ impl SucceedingLink {
 
     /// Sends, unless the link has ended.
     async fn sending<T>(&self, sending: impl Future<Output = ZResult<T>>) -> ZResult<T> {
+        let _writing = Writing::begin(&self.writers);
         if self.ended.is_cancelled() {
             return Err(self.has_ended());
         }
@@ -192,9 +200,8 @@ impl SucceedingLink {
             sent = sending => sent,
             () = self.ended.cancelled() => Err(self.has_ended()),
         };
-        // The first task that fails closes the session, so the others fail before.
-        if sent.is_err() && self.end() {
-            sleep(SETTLE).await;
+        if sent.is_err() {
+            self.end();
         }
         sent
     }
@@ -222,6 +229,42 @@ impl SucceedingLink {
 
     fn has_ended(&self) -> Error {
         zerror!("{}: the link has ended", self.link.get_dst()).into()
+    }
+}
+
+/// Zenoh's tasks that write, one for each priority.
+#[derive(Default)]
+pub(super) struct Writers {
+    /// Number of tasks that wait for room.
+    waiting: Mutex<usize>,
+    changed: Condvar,
+}
+
+impl Writers {
+    /// Blocks until no task waits for room, at most until `deadline`.
+    pub(super) fn wait_until_none(&self, deadline: std::time::Instant) {
+        let mut waiting = self.waiting.lock();
+        while *waiting > 0 && !self.changed.wait_until(&mut waiting, deadline).timed_out() {}
+    }
+}
+
+/// A task that waits for room.
+struct Writing<'a>(&'a Writers);
+
+impl<'a> Writing<'a> {
+    fn begin(writers: &'a Writers) -> Self {
+        *writers.waiting.lock() += 1;
+        Self(writers)
+    }
+}
+
+impl Drop for Writing<'_> {
+    fn drop(&mut self) {
+        let mut waiting = self.0.waiting.lock();
+        *waiting -= 1;
+        if *waiting == 0 {
+            self.0.changed.notify_all();
+        }
     }
 }
 
@@ -582,6 +625,33 @@ mod tests {
         assert!(wrote >= end && other >= end, "{wrote:?} {other:?}");
         assert!(wrote + SETTLE / 2 < read && other + SETTLE / 2 < read);
         assert!(read < LEASE, "{read:?}");
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn zenoh_removes_a_link_only_after_all_its_writers_have_failed() {
+        let link = accept(nodes()).await.expect("a link");
+        let priorities = [Priority::Control, Priority::Data, Priority::Background];
+        let writing = priorities.map(|priority| {
+            let link = Arc::clone(&link);
+            tokio::spawn(async move {
+                let written = link.write_all(&[1; 10], Some(priority)).await;
+                assert!(written.is_err());
+            })
+        });
+        while Arc::strong_count(&link) <= priorities.len() {
+            tokio::task::yield_now().await;
+        }
+        let (src, dst) = (link.get_src().clone(), link.get_dst().clone());
+        let removed = || crate::succession::wait_for_writers(&src, &dst);
+        let began = Instant::now();
+        tokio::task::block_in_place(removed);
+        assert!(
+            began.elapsed() >= crate::succession::WRITERS_FAIL,
+            "they wait for room"
+        );
+        link.close().await.expect("closes");
+        tokio::task::block_in_place(removed);
+        assert!(writing.iter().all(|writing| writing.is_finished()));
     }
 
     #[tokio::test(start_paused = true)]
