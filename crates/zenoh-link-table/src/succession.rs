@@ -66,7 +66,7 @@ struct State {
     channels: Vec<Channel>,
 }
 
-/// What ends a link that has completed its handshake.
+/// A link that has completed its handshake, and can be ended.
 struct LinkEnd {
     src: Locator,
     dst: Locator,
