@@ -414,7 +414,7 @@ impl LinkUnicastTrait for SucceedingLink {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::VecDeque;
+    use std::{collections::VecDeque, task::Poll};
 
     use zenoh_protocol::{
         core::{WhatAmI, ZenohIdProto},
@@ -631,16 +631,21 @@ mod tests {
     async fn zenoh_removes_a_link_only_after_all_its_writers_have_failed() {
         let link = accept(nodes()).await.expect("a link");
         let priorities = [Priority::Control, Priority::Data, Priority::Background];
+        let begun = Arc::new(tokio::sync::Barrier::new(priorities.len() + 1));
         let writing = priorities.map(|priority| {
-            let link = Arc::clone(&link);
+            let (link, begun) = (Arc::clone(&link), Arc::clone(&begun));
             tokio::spawn(async move {
-                let written = link.write_all(&[1; 10], Some(priority)).await;
-                assert!(written.is_err());
+                let mut writing = link.write_all(&[1; 10], Some(priority));
+                std::future::poll_fn(|context| {
+                    assert!(writing.as_mut().poll(context).is_pending());
+                    Poll::Ready(())
+                })
+                .await;
+                begun.wait().await;
+                assert!(writing.await.is_err());
             })
         });
-        while Arc::strong_count(&link) <= priorities.len() {
-            tokio::task::yield_now().await;
-        }
+        begun.wait().await;
         let (src, dst) = (link.get_src().clone(), link.get_dst().clone());
         let removed = || crate::succession::wait_for_writers(&src, &dst);
         let began = Instant::now();
