@@ -100,7 +100,8 @@ fn a_program_with_many_declarations_waits_and_is_reported() {
         let token = greedy.liveliness().declare_token(key).wait();
         token.expect("a token")
     };
-    let tokens: Vec<_> = (0..300).map(declare).collect();
+    // So many that they exceed the limit also if this computer takes 10 ms for each.
+    let tokens: Vec<_> = (0..600).map(declare).collect();
     let declared = || {
         let tokens = other.liveliness().get("rect/wombat-1/token/*").wait();
         tokens.expect("a query").into_iter().count()
@@ -115,7 +116,7 @@ fn a_program_with_many_declarations_waits_and_is_reported() {
     // At most what is left after the first 200, and less if declaring them took a while.
     let delayed = status["delayed_declarations"].as_u64();
     assert!(
-        (1..=100).contains(&delayed.expect("a number")),
+        (1..=400).contains(&delayed.expect("a number")),
         "{status:#}"
     );
     assert!(
