@@ -68,7 +68,11 @@ def publishing(robot: rect.Robot, topics: int, hertz: int) -> Iterator[None]:
 def urgent_ms(here: rect.Robot, there: rect.Robot) -> list[float]:
     """Sends urgent messages over the air for a time; returns how long each took, in milliseconds."""
     taken: list[float] = []
-    with there.subscribe("wombat-2/stop", lambda message: taken.append(1000 * (time.monotonic() - message.value))):
+
+    def on_stop(message: rect.Message) -> None:
+        taken.append(1000 * (time.monotonic() - message.value))
+
+    with there.subscribe("wombat-2/stop", callback=on_stop):
         stop = here.publisher("stop", urgency="urgent")
         stop.wait_for_subscriber(20)
         ends = time.monotonic() + SECONDS

@@ -88,7 +88,7 @@ def rect_ping(robot: rect.Robot) -> Callable[[Call], Call]:
             assert message.value
             back()
 
-        robot.subscribe("wombat-2/pong", on_pong)
+        robot.subscribe("wombat-2/pong", callback=on_pong)
         return lambda: robot.publish("ping", READING)
 
     return begin
@@ -134,7 +134,7 @@ def p50_us(call: Call) -> float:
 
 def rect_frames(robot: rect.Robot, frame: np.ndarray) -> Callable[[], float]:
     done = threading.Event()
-    robot.subscribe("wombat-2/counted", lambda message: done.set())
+    robot.subscribe("wombat-2/counted", callback=lambda message: done.set())
     return lambda: frames_per_s(done, lambda: robot.publish("frame", rect.Picture(frame)))
 
 
@@ -189,7 +189,7 @@ def echo(endpoint: str) -> None:
     """Runs the other program, which echoes messages of both kinds until its input ends."""
     with rect.connect("wombat-2", endpoints=[endpoint]) as robot:
         session = robot.zenoh
-        robot.subscribe("wombat-1/ping", lambda message: robot.publish("pong", message.value))
+        robot.subscribe("wombat-1/ping", callback=lambda message: robot.publish("pong", message.value))
         robot.serve("echo", lambda request: request.value)
         publisher = session.declare_publisher("plain/pong", encoding="application/json")
 
@@ -214,7 +214,7 @@ def echo(endpoint: str) -> None:
             if counts["plain"] % FRAMES == 0:
                 session.put("plain/counted", b"1")
 
-        robot.subscribe("wombat-1/frame", on_frame, when_full="block")
+        robot.subscribe("wombat-1/frame", callback=on_frame, when_full="block")
         kept.append(session.declare_subscriber("plain/frame", on_plain_frame))
         sys.stdin.read()
         del kept

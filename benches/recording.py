@@ -81,7 +81,11 @@ def urgent_ms(endpoint: str) -> Iterator[list[float]]:
     taken: list[float] = []
     with rect.connect("wombat-2", endpoints=[endpoint]) as other:
         other.wait_for_peer("wombat-1", 10)
-        with other.subscribe("wombat-1/stop", lambda message: taken.append(1000 * (time.monotonic() - message.value))):
+
+        def on_stop(message: rect.Message) -> None:
+            taken.append(1000 * (time.monotonic() - message.value))
+
+        with other.subscribe("wombat-1/stop", callback=on_stop):
             yield taken
 
 

@@ -118,8 +118,8 @@ class Program:
         self._ends = threading.Event()
         self.robot = rect.connect(self.name, router=router.endpoint())
         self._handles = [
-            self.robot.subscribe(f"{self._next}/state", self._on_message),
-            self.robot.subscribe(f"{self._next}/stop", self._on_message),
+            self.robot.subscribe(f"{self._next}/state", callback=self._on_message),
+            self.robot.subscribe(f"{self._next}/stop", callback=self._on_message),
             self.robot.serve("sum", lambda request: sum(request.value)),
         ]
         self._transfers = self.robot.receive_transfers("*/part")

@@ -141,7 +141,7 @@ class Urgent:
         self._due: list[float] = []
         self._is_reached = False
         self._ended = threading.Event()
-        self._subscription = there.subscribe("wombat-1/stop", self._on_message)
+        self._subscription = there.subscribe("wombat-1/stop", callback=self._on_message)
         wait_until("an urgent message arrives", 20, self._reaches)
         self._thread = threading.Thread(target=self._send, daemon=True)
 

@@ -53,7 +53,7 @@ def crowded() -> Iterator[Link]:
         def join() -> None:
             for _ in range(OTHERS):
                 other = others.enter_context(rect.connect("wombat-2", router=link.far))
-                others.enter_context(other.watch("wombat-1", "camera"))
+                others.enter_context(other.watch("wombat-1/camera"))
 
         yield Link(link.near, link.far, join, lambda: None)
 
@@ -110,7 +110,7 @@ def measured(link: Link, fault_s: float | None) -> tuple[float, float, int]:
     ends = threading.Event()
     with rect.connect("wombat-1", router=link.near) as near, rect.connect("wombat-2", router=link.far) as far:
         stream = near.stream("camera", mode="video", max_frames_per_s=FRAMES_PER_S)
-        watch = far.watch("wombat-1", "camera")
+        watch = far.watch("wombat-1/camera")
 
         def film() -> None:
             due = time.monotonic()

@@ -21,7 +21,9 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::{codec, Format, LossyFormat, Options, Picture, Robot, Stream, StreamOptions, ToPayload};
+use rect::{
+    codec, Format, LossyFormat, Options, Picture, Robot, StreamOptions, StreamSender, ToPayload,
+};
 use serde::{Deserialize, Serialize};
 
 /// The noise of the camera, in each direction.
@@ -110,7 +112,7 @@ async fn run(task: Task) -> Result<Outcome, Box<dyn Error>> {
             }
         })
         .await?;
-    let watch = far.watch("wombat-1", "camera").await?;
+    let watch = far.watch("wombat-1/camera").await?;
     let options = match &task.codec {
         Some(_) => StreamOptions::fixed(f64::from(task.frames_per_s)),
         None if task.video => StreamOptions {
@@ -222,7 +224,11 @@ type Sent = Vec<(u32, Instant)>;
 
 /// Sends frames until `ended` is set. Returns the index and time of each frame that was sent, and the mean time for encoding a
 /// frame, in milliseconds.
-fn camera(task: &Task, stream: &Stream, ended: &AtomicBool) -> Result<(Sent, f64), Box<dyn Error>> {
+fn camera(
+    task: &Task,
+    stream: &StreamSender,
+    ended: &AtomicBool,
+) -> Result<(Sent, f64), Box<dyn Error>> {
     let panorama = fs::read(&task.panorama)?;
     let codec = task.codec.as_deref().map(codec::parse).transpose()?;
     let (started, mut sent, mut encoding_time) = (Instant::now(), Vec::new(), Duration::ZERO);

@@ -7,6 +7,7 @@
 #include <cstdint>
 #include <iostream>
 #include <rect.hpp>
+#include <string>
 #include <thread>
 #include <vector>
 
@@ -34,12 +35,12 @@ std::vector<std::uint8_t> take_picture(int n) {
 }
 
 void watch(const rect::Robot& robot, const char* other) {
-    const auto camera = rect::must(robot.watch(other, "camera"));
+    const auto camera = rect::must(robot.watch(std::string(other) + "/camera"));
     while (const auto frame = camera.next()) {
-        const auto picture = rect::must((*frame)->payload.picture());
-        const auto age = (*frame)->age().value_or(std::chrono::microseconds(0));
-        std::cout << "frame " << (*frame)->number() << ": " << picture.width() << "x" << picture.height() << ", "
-                  << age.count() / 1000 << " ms old, " << (*frame)->skipped() << " frames skipped" << std::endl;
+        const auto picture = rect::must(frame->payload.picture());
+        const auto age = frame->age().value_or(std::chrono::microseconds(0));
+        std::cout << "frame " << frame->number() << ": " << picture.width() << "x" << picture.height() << ", "
+                  << age.count() / 1000 << " ms old, " << frame->skipped() << " frames skipped" << std::endl;
     }
 }
 

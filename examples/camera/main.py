@@ -24,7 +24,7 @@ def take_picture(n: int) -> np.ndarray:
 def main(me: str = "wombat-1", other: str = "") -> None:
     with rect.connect(me) as robot:
         if other:
-            for frame in robot.watch(other, "camera"):
+            for frame in robot.watch(f"{other}/camera"):
                 number, age, skipped = frame.number, frame.age, frame.skipped
                 print(f"frame {number}: {frame.value}, {age} s old, {skipped} frames skipped", flush=True)
         camera = robot.stream("camera")

@@ -29,7 +29,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let me = names.next().unwrap_or("wombat-1".to_owned());
     let robot = rect::connect(&me).await?;
     if let Some(other) = names.next() {
-        let camera = robot.watch(other.as_str(), "camera").await?;
+        let camera = robot.watch(format!("{other}/camera").as_str()).await?;
         while let Some(frame) = camera.next().await {
             let picture = frame.payload.picture(&Limits::default())?;
             let (width, height) = (picture.width(), picture.height());

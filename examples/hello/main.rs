@@ -1,14 +1,12 @@
 //! Hello: publishes a message, sends a request, and prints what another robot publishes. Start `rect sim` first.
 //!
 //!     cargo run --example hello
-use std::time::Duration;
-
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let robot = rect::blocking::connect("wombat-1")?;
     // Every program that subscribes to greetings receives this.
     robot.publish("greeting", "hello")?;
     // Only this program receives the reply.
-    let battery = robot.request("wombat-2", "battery", "", Duration::from_secs(2))?;
+    let battery = robot.request("wombat-2", "battery", "")?;
     println!("battery of {}: {}", battery.sender, battery.payload.text()?);
     // Until Ctrl-C.
     for message in robot.subscribe("wombat-2/**")? {

@@ -9,7 +9,6 @@
 #include <thread>
 
 using nlohmann::json;
-constexpr auto timeout = std::chrono::seconds(2);
 
 json battery(const rect::Request& request) {
     const auto query = rect::must(request.payload.value<json>());
@@ -38,8 +37,8 @@ int main(int argc, char** argv) {
         }
     }
     // Only this call receives the reply. If the service replies with an error, the call fails with it.
-    show(robot.request(argv[2], "battery", json{{"cell", 1}}, timeout));
-    const auto replies = rect::must(robot.request_all("battery", json{{"cell", 9}}, timeout));
+    show(robot.request(argv[2], "battery", json{{"cell", 1}}));
+    const auto replies = rect::must(robot.request_all("battery", json{{"cell", 9}}));
     for (auto reply = replies.next();; reply = replies.next()) {
         if (!reply && reply.error().code != rect::Code::service) {
             return 0;

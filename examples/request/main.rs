@@ -2,11 +2,7 @@
 //!
 //!     cargo run --example request -- wombat-1             # offers the service
 //!     cargo run --example request -- wombat-2 wombat-1    # sends requests
-use std::time::Duration;
-
 use serde_json::{json, Value};
-
-const TIMEOUT: Duration = Duration::from_secs(2);
 
 #[tokio::main]
 async fn main() -> Result<(), rect::Error> {
@@ -18,12 +14,10 @@ async fn main() -> Result<(), rect::Error> {
     };
     // Only this call receives the reply. If the service replies with an error, the call fails with it.
     let reply = robot
-        .request(other.as_str(), "battery", json!({"cell": 1}), TIMEOUT)
+        .request(other.as_str(), "battery", json!({"cell": 1}))
         .await?;
     println!("{}: {}", reply.sender, reply.payload.value::<Value>()?);
-    let mut replies = robot
-        .request_all("battery", json!({"cell": 9}), TIMEOUT)
-        .await?;
+    let mut replies = robot.request_all("battery", json!({"cell": 9})).await?;
     while let Some(reply) = replies.next().await {
         match reply {
             Ok(reply) => println!("{}: {}", reply.sender, reply.payload.value::<Value>()?),

@@ -31,7 +31,7 @@ def publish_compressed(robot: rect.Robot) -> None:
 
 def main(name: str = "wombat-1", step: str = "") -> None:
     with rect.connect(name) as robot:
-        robot.subscribe("*/telemetry", lambda message: print(f"{message.sender}: {message.value}", flush=True))
+        robot.subscribe("*/telemetry", callback=lambda message: print(f"{message.sender}: {message.value}", flush=True))
         publish_compressed(robot) if step == "compressed" else publish(robot, range(2**62))
 
 

@@ -38,8 +38,8 @@ void follow(const rect::Robot& robot) {
     for (;;) {
         const auto message = commands.next(500ms);
         if (message) {
-            const auto command = rect::must((*message)->payload.value<Drive>());
-            std::cout << (*message)->sender() << ": " << command.left << " " << command.right << std::endl;
+            const auto command = rect::must(message->payload.value<Drive>());
+            std::cout << message->sender() << ": " << command.left << " " << command.right << std::endl;
         } else if (message.error().code == rect::Code::timed_out) {
             std::cout << "no commands, stopping: " << stop.left << " " << stop.right << std::endl;
         } else {

@@ -31,7 +31,7 @@ int main(int argc, char** argv) {
     auto last_command = std::chrono::steady_clock::now();
     while (!side_button()) {
         const auto message = commands.next(50ms);
-        const auto drive = message ? (*message)->payload.value<json>() : rect::unexpected<rect::Error>(message.error());
+        const auto drive = message ? message->payload.value<json>() : rect::unexpected<rect::Error>(message.error());
         if (drive && drive->is_object()) {
             last_command = std::chrono::steady_clock::now();
             motor(left_port, percent(drive->value("left", 0.0)));

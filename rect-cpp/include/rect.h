@@ -525,7 +525,7 @@ typedef struct rect_message {
     struct rect_payload payload;
     // The time of sending by the sender's clock, in milliseconds since 1970; -1 if the sender is a stock Zenoh program. The
     // clock of a robot without a real-time clock may be wrong by years.
-    int64_t sent_ms;
+    int64_t sent_at_ms;
     // The sequence number that its publisher gave it; -1 if the sender is a stock Zenoh program.
     int64_t sequence;
     // Number of messages of the same publisher, directly before this one, that did not arrive.
@@ -536,7 +536,7 @@ typedef struct rect_message {
     uint32_t urgency;
     // Whether the message arrived after one with a higher sequence number of the same publisher.
     bool late;
-    // Whether the message repeats one of a recording. `sent_ms` is the time of that one.
+    // Whether the message repeats one of a recording. `sent_at_ms` is the time of that one.
     bool replayed;
     // The reason why the payload could not be decoded and is as it arrived: it is damaged, or its codec or dictionary is
     // not available. Empty if the payload is complete.
@@ -573,6 +573,8 @@ typedef struct rect_counters {
     // Number of messages from stock Zenoh programs that were dropped because RECT does not permit their topic: it contains
     // control characters, is longer than 200 bytes, or is reserved.
     uint64_t rejected;
+    // Number of messages and requests whose value does not fit the type that the program states.
+    uint64_t problems;
 } rect_counters;
 
 // A request, which is valid until the callback returns. Before that, the program replies with `rect_request_reply` or
@@ -619,10 +621,10 @@ typedef struct rect_stream_options {
 } rect_stream_options;
 
 // A stream that this program sends, of which only the newest frame matters. `rect_drop(&stream.id, ..)` ends it.
-typedef struct rect_stream {
+typedef struct rect_stream_sender {
     // The handle.
     uint64_t id;
-} rect_stream;
+} rect_stream_sender;
 
 // The settings of a receive queue. `rect_queue_options options = {0};` are the defaults, and so is NULL.
 typedef struct rect_queue_options {
@@ -735,10 +737,10 @@ typedef struct rect_received {
 } rect_received;
 
 // A stream that this program watches. `rect_drop(&watch.id, ..)` ends it.
-typedef struct rect_watch {
+typedef struct rect_watcher {
     // The handle.
     uint64_t id;
-} rect_watch;
+} rect_watcher;
 
 // A frame of a stream.
 //
@@ -1212,14 +1214,13 @@ enum rect_code rect_robot_send(struct rect_robot robot,
                                const struct rect_payload *payload,
                                struct rect_error *error);
 
-// Waits for the next message that `sender` publishes on `topic`, or sends to this robot, and writes it to `message`.
-// Earlier messages are not returned.
+// Waits for the next message that matches `pattern`, published or sent to this robot, and writes it to `message`. Earlier
+// messages are not returned.
 //
 // Returns `RECT_CODE_TIMED_OUT` if there is none within `timeout_ms` (`RECT_FOREVER` waits without a limit). May be called
 // on any thread.
 enum rect_code rect_robot_wait_for_message(struct rect_robot robot,
-                                           const char *sender,
-                                           const char *topic,
+                                           const char *pattern,
                                            uint32_t timeout_ms,
                                            struct rect_message *message,
                                            struct rect_error *error);
@@ -1315,7 +1316,7 @@ enum rect_code rect_request_refuse(uint64_t request,
 enum rect_code rect_robot_stream(struct rect_robot robot,
                                  const char *topic,
                                  const struct rect_stream_options *options,
-                                 struct rect_stream *stream,
+                                 struct rect_stream_sender *stream,
                                  struct rect_error *error);
 
 // Sends a frame unchanged, if any receiver needs one now. Does not wait for the link.
@@ -1323,31 +1324,31 @@ enum rect_code rect_robot_stream(struct rect_robot robot,
 // Writes the number of groups of receivers that the frame is sent to, 0 to 2, to `sent`, which may be NULL.
 //
 // May be called on any thread; calls of several threads run one after another.
-enum rect_code rect_stream_send(struct rect_stream stream,
-                                const struct rect_payload *frame,
-                                uint32_t *sent,
-                                struct rect_error *error);
+enum rect_code rect_stream_sender_send(struct rect_stream_sender stream,
+                                       const struct rect_payload *frame,
+                                       uint32_t *sent,
+                                       struct rect_error *error);
 
 // Sends a picture: rows of pixels without padding, from the top left. An adaptive stream scales and compresses it as the
 // links require, and a video stream sends it as video; other streams send it uncompressed. If no receiver needs a frame now, nothing is compressed or sent.
 //
-// `format` is a `rect_format`; `len` is the size of `pixels` in bytes; `sent` is the same as for `rect_stream_send`.
+// `format` is a `rect_format`; `len` is the size of `pixels` in bytes; `sent` is the same as for `rect_stream_sender_send`.
 //
 // May be called on any thread; calls of several threads run one after another. Takes as long as compressing the picture.
-enum rect_code rect_stream_send_picture(struct rect_stream stream,
-                                        uint32_t width,
-                                        uint32_t height,
-                                        uint32_t format,
-                                        const void *pixels,
-                                        size_t len,
-                                        uint32_t *sent,
-                                        struct rect_error *error);
+enum rect_code rect_stream_sender_send_picture(struct rect_stream_sender stream,
+                                               uint32_t width,
+                                               uint32_t height,
+                                               uint32_t format,
+                                               const void *pixels,
+                                               size_t len,
+                                               uint32_t *sent,
+                                               struct rect_error *error);
 
 // Writes the state of a stream to `status`: what is sent, what arrives, and why the current quality was chosen. It is JSON
 // with `groups` and `receivers` (docs/concepts/streams.md). May be called on any thread.
-enum rect_code rect_stream_status(struct rect_stream stream,
-                                  struct rect_string *status,
-                                  struct rect_error *error);
+enum rect_code rect_stream_sender_status(struct rect_stream_sender stream,
+                                         struct rect_string *status,
+                                         struct rect_error *error);
 
 // Subscribes to a pattern, `<robot>/<topic>` with wildcards, e.g. `*/arm/*`, and writes the handle to `subscriber`. The
 // subscriber receives the matching messages that are published, and those that are sent to this robot. `options` may be
@@ -1468,49 +1469,47 @@ enum rect_code rect_transfers_next(struct rect_transfers transfers,
                                    struct rect_received *received,
                                    struct rect_error *error);
 
-// Watches the stream `topic` of the robot `sender`, and writes the handle to `watch`. By default only the newest frame
+// Receives a stream, `<robot>/<topic>`, and writes the handle to `watcher`. By default only the newest frame
 // waits for the program; `options` may specify a larger receive queue, or be NULL.
 //
-// Returns `RECT_CODE_NAME` or `RECT_CODE_TOPIC` if the sender or the topic is invalid. May be called on any thread.
+// Returns `RECT_CODE_TOPIC` if the robot or topic is invalid. May be called on any thread.
 enum rect_code rect_robot_watch(struct rect_robot robot,
-                                const char *sender,
-                                const char *topic,
+                                const char *stream,
                                 const struct rect_queue_options *options,
-                                struct rect_watch *watch,
+                                struct rect_watcher *watcher,
                                 struct rect_error *error);
 
 // Does what `rect_robot_watch` does, but leaves video undecoded: the payloads are the frames as they were sent, from a key frame
 // on, with the encoding `video/h264`. A program that saves or forwards them needs them all, and so a larger receive queue.
 //
-// Returns `RECT_CODE_NAME` or `RECT_CODE_TOPIC` if the sender or the topic is invalid. May be called on any thread.
+// Returns `RECT_CODE_TOPIC` if the robot or topic is invalid. May be called on any thread.
 enum rect_code rect_robot_watch_undecoded(struct rect_robot robot,
-                                          const char *sender,
-                                          const char *topic,
+                                          const char *stream,
                                           const struct rect_queue_options *options,
-                                          struct rect_watch *watch,
+                                          struct rect_watcher *watcher,
                                           struct rect_error *error);
 
 // Waits for the next frame and writes it to `frame`.
 //
 // Returns `RECT_CODE_TIMED_OUT` if none arrives within `timeout_ms` (`RECT_FOREVER` waits without a limit), and
-// `RECT_CODE_CLOSED` if the session was closed or another thread dropped the watch.
+// `RECT_CODE_CLOSED` if the session was closed or another thread dropped the watcher.
 //
 // May be called on any thread; if several threads wait, one of them receives the frame.
-enum rect_code rect_watch_next(struct rect_watch watch,
-                               uint32_t timeout_ms,
-                               struct rect_frame *frame,
-                               struct rect_error *error);
+enum rect_code rect_watcher_next(struct rect_watcher watcher,
+                                 uint32_t timeout_ms,
+                                 struct rect_frame *frame,
+                                 struct rect_error *error);
 
 // Asks the sender of a video for a key frame, with the next frame that arrives: for a program that decodes the video itself, and
 // has dropped frames. May be called on any thread.
-enum rect_code rect_watch_ask_for_key_frame(struct rect_watch watch,
-                                            struct rect_error *error);
+enum rect_code rect_watcher_ask_for_key_frame(struct rect_watcher watcher,
+                                              struct rect_error *error);
 
 // Writes the round trip of a small message to the stream's sender to `round_trip_us`, in microseconds; -1 until the first one
 // has been measured. May be called on any thread.
-enum rect_code rect_watch_round_trip(struct rect_watch watch,
-                                     int64_t *round_trip_us,
-                                     struct rect_error *error);
+enum rect_code rect_watcher_round_trip(struct rect_watcher watcher,
+                                       int64_t *round_trip_us,
+                                       struct rect_error *error);
 
 // Calls `callback` for each frame of a stream, one after another, on a thread of the subscription, until the subscription
 // is dropped. Frames that arrive during a call wait or are dropped as `options` specify; by default only the newest one is
@@ -1518,11 +1517,10 @@ enum rect_code rect_watch_round_trip(struct rect_watch watch,
 //
 // `release` is called once with `context` when no more calls will follow, even if this function fails.
 //
-// Returns `RECT_CODE_NAME` or `RECT_CODE_TOPIC` if the sender or the topic is invalid. May be called on any thread. The
+// Returns `RECT_CODE_TOPIC` if the robot or topic is invalid. May be called on any thread. The
 // callback may call any function of RECT and may drop its own subscription.
 enum rect_code rect_robot_on_frame(struct rect_robot robot,
-                                   const char *sender,
-                                   const char *topic,
+                                   const char *stream,
                                    const struct rect_queue_options *options,
                                    rect_on_frame callback,
                                    void *context,

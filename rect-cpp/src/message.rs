@@ -2,6 +2,7 @@
 use std::{sync::Arc, time::Instant};
 
 use rect::Name;
+use rect_core::clock::unix::ms_since_1970;
 
 use crate::{
     handle::{self, Object},
@@ -28,7 +29,7 @@ pub struct Message {
     pub payload: PayloadView,
     /// The time of sending by the sender's clock, in milliseconds since 1970; -1 if the sender is a stock Zenoh program. The
     /// clock of a robot without a real-time clock may be wrong by years.
-    pub sent_ms: i64,
+    pub sent_at_ms: i64,
     /// The sequence number that its publisher gave it; -1 if the sender is a stock Zenoh program.
     pub sequence: i64,
     /// Number of messages of the same publisher, directly before this one, that did not arrive.
@@ -39,7 +40,7 @@ pub struct Message {
     pub urgency: u32,
     /// Whether the message arrived after one with a higher sequence number of the same publisher.
     pub late: bool,
-    /// Whether the message repeats one of a recording. `sent_ms` is the time of that one.
+    /// Whether the message repeats one of a recording. `sent_at_ms` is the time of that one.
     pub replayed: bool,
     /// The reason why the payload could not be decoded and is as it arrived: it is damaged, or its codec or dictionary is
     /// not available. Empty if the payload is complete.
@@ -66,16 +67,14 @@ pub fn problem(message: &rect::Message) -> Option<String> {
 
 /// Returns the C form of a message, which is valid as long as the message and `problem`.
 pub fn view(message: &rect::Message, problem: Option<&str>) -> Message {
-    let sent_ms = message
-        .sent_ms
-        .map(|ms| i64::try_from(ms).unwrap_or(i64::MAX));
+    let sent_at_ms = message.sent_at.map(ms_since_1970);
     Message {
         id: 0,
         sender: Text::of(message.sender.as_str()),
         recipient: Text::of_some(message.recipient.as_ref().map(Name::as_str)),
         topic: Text::of(message.topic.as_str()),
         payload: PayloadView::of(&message.payload),
-        sent_ms: sent_ms.unwrap_or(-1),
+        sent_at_ms: sent_at_ms.map_or(-1, |ms| i64::try_from(ms).unwrap_or(i64::MAX)),
         sequence: message.sequence.map_or(-1, i64::from),
         missed: message.missed,
         expires_in_ms: message.expires_at.map_or(-1, |at| {

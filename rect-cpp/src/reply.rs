@@ -121,7 +121,12 @@ pub unsafe extern "C" fn rect_robot_request(
             )
         };
         let (program, timeout) = (robot.resolve()?, Duration::from_millis(timeout_ms.into()));
-        let first = program.wait(program.robot.request(recipient, topic, payload, timeout))?;
+        let first = program.wait(
+            program
+                .robot
+                .with_timeout(timeout)
+                .request(recipient, topic, payload),
+        )?;
         write_out("reply", reply, into_c(first))
     })
 }
@@ -145,7 +150,12 @@ pub unsafe extern "C" fn rect_robot_request_all(
         let (topic, payload) =
             unsafe { (text("topic", topic)?, require("payload", payload)?.read()?) };
         let (program, timeout) = (robot.resolve()?, Duration::from_millis(timeout_ms.into()));
-        let incoming = program.wait(program.robot.request_all(topic, payload, timeout))?;
+        let incoming = program.wait(
+            program
+                .robot
+                .with_timeout(timeout)
+                .request_all(topic, payload),
+        )?;
         let id = handle::insert(PendingReplies {
             replies: Mutex::new(incoming),
             runtime: program.runtime.clone(),

@@ -55,6 +55,8 @@ pub struct Counters {
     /// Number of messages from stock Zenoh programs that were dropped because RECT does not permit their topic: it contains
     /// control characters, is longer than 200 bytes, or is reserved.
     pub rejected: u64,
+    /// Number of messages and requests whose value does not fit the type that the program states.
+    pub problems: u64,
 }
 
 impl RobotHandle {
@@ -286,16 +288,15 @@ pub unsafe extern "C" fn rect_robot_send(
     })
 }
 
-/// Waits for the next message that `sender` publishes on `topic`, or sends to this robot, and writes it to `message`.
-/// Earlier messages are not returned.
+/// Waits for the next message that matches `pattern`, published or sent to this robot, and writes it to `message`. Earlier
+/// messages are not returned.
 ///
 /// Returns `RECT_CODE_TIMED_OUT` if there is none within `timeout_ms` (`RECT_FOREVER` waits without a limit). May be called
 /// on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_wait_for_message(
     robot: RobotHandle,
-    sender: *const c_char,
-    topic: *const c_char,
+    pattern: *const c_char,
     timeout_ms: u32,
     message: Option<&mut MaybeUninit<Message>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
@@ -303,9 +304,9 @@ pub unsafe extern "C" fn rect_robot_wait_for_message(
     call(error, || {
         require_out("message", &message)?;
         // SAFETY: the caller follows the rules of rect.h.
-        let (sender, topic) = unsafe { (text("sender", sender)?, text("topic", topic)?) };
+        let pattern = unsafe { text("pattern", pattern)? };
         let (program, timeout) = (robot.resolve()?, timeout(timeout_ms));
-        let received = program.wait(program.robot.wait_for_message(sender, topic, timeout))?;
+        let received = program.wait(program.robot.wait_for_message(pattern, timeout))?;
         write_out("message", message, message::into_c(received))
     })
 }
@@ -381,6 +382,7 @@ pub extern "C" fn rect_robot_counters(
             missed,
             expired,
             rejected,
+            problems,
         } = counted;
         let counted = Counters {
             sent,
@@ -390,6 +392,7 @@ pub extern "C" fn rect_robot_counters(
             missed,
             expired,
             rejected,
+            problems,
         };
         write_out("counters", counters, counted)
     })

@@ -24,7 +24,7 @@ use crate::{
 /// A stream that this program sends, of which only the newest frame matters. `rect_drop(&stream.id, ..)` ends it.
 #[repr(C)]
 #[derive(Clone, Copy)]
-pub struct Stream {
+pub struct StreamSender {
     /// The handle.
     pub id: u64,
 }
@@ -62,7 +62,7 @@ pub struct StreamOptions {
     pub feedback_interval_ms: u32,
 }
 
-struct OwnedStream(rect::Stream);
+struct OwnedStream(rect::StreamSender);
 
 impl Object for OwnedStream {
     const KIND: &'static str = "stream";
@@ -112,7 +112,7 @@ pub unsafe extern "C" fn rect_robot_stream(
     robot: RobotHandle,
     topic: *const c_char,
     options: Option<&StreamOptions>,
-    stream: Option<&mut MaybeUninit<Stream>>,
+    stream: Option<&mut MaybeUninit<StreamSender>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
@@ -122,7 +122,7 @@ pub unsafe extern "C" fn rect_robot_stream(
         let (program, options) = (robot.resolve()?, read_options(options)?);
         let declared = program.wait(program.robot.stream(topic, options))?;
         let id = handle::insert(OwnedStream(declared));
-        write_out("stream", stream, Stream { id })
+        write_out("stream", stream, StreamSender { id })
     })
 }
 
@@ -132,8 +132,8 @@ pub unsafe extern "C" fn rect_robot_stream(
 ///
 /// May be called on any thread; calls of several threads run one after another.
 #[no_mangle]
-pub unsafe extern "C" fn rect_stream_send(
-    stream: Stream,
+pub unsafe extern "C" fn rect_stream_sender_send(
+    stream: StreamSender,
     frame: Option<&PayloadView>,
     sent: Option<&mut MaybeUninit<u32>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
@@ -149,12 +149,12 @@ pub unsafe extern "C" fn rect_stream_send(
 /// Sends a picture: rows of pixels without padding, from the top left. An adaptive stream scales and compresses it as the
 /// links require, and a video stream sends it as video; other streams send it uncompressed. If no receiver needs a frame now, nothing is compressed or sent.
 ///
-/// `format` is a `rect_format`; `len` is the size of `pixels` in bytes; `sent` is the same as for `rect_stream_send`.
+/// `format` is a `rect_format`; `len` is the size of `pixels` in bytes; `sent` is the same as for `rect_stream_sender_send`.
 ///
 /// May be called on any thread; calls of several threads run one after another. Takes as long as compressing the picture.
 #[no_mangle]
-pub unsafe extern "C" fn rect_stream_send_picture(
-    stream: Stream,
+pub unsafe extern "C" fn rect_stream_sender_send_picture(
+    stream: StreamSender,
     width: u32,
     height: u32,
     format: u32,
@@ -183,8 +183,8 @@ fn write_count(sent: Out<'_, u32>, count: usize) -> Result<(), Failure> {
 /// Writes the state of a stream to `status`: what is sent, what arrives, and why the current quality was chosen. It is JSON
 /// with `groups` and `receivers` (docs/concepts/streams.md). May be called on any thread.
 #[no_mangle]
-pub extern "C" fn rect_stream_status(
-    stream: Stream,
+pub extern "C" fn rect_stream_sender_status(
+    stream: StreamSender,
     status: Option<&mut MaybeUninit<StringView>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {

@@ -22,7 +22,7 @@ use crate::{
 /// A stream that this program watches. `rect_drop(&watch.id, ..)` ends it.
 #[repr(C)]
 #[derive(Clone, Copy)]
-pub struct Watch {
+pub struct Watcher {
     /// The handle.
     pub id: u64,
 }
@@ -35,11 +35,11 @@ const NEWEST: rect::QueueOptions = rect::QueueOptions {
     when_full: rect::WhenFull::DropOldest,
 };
 
-impl Waitable for rect::Watch {
+impl Waitable for rect::Watcher {
     const KIND: &'static str = "watch";
 }
 
-impl Source for rect::Watch {
+impl Source for rect::Watcher {
     type Item = rect::Frame;
 
     async fn next(&self) -> Option<rect::Frame> {
@@ -53,86 +53,82 @@ impl Source for rect::Watch {
 
 fn declare(
     program: &Program,
-    sender: &str,
-    topic: &str,
+    stream: &str,
     options: Option<&QueueOptions>,
-) -> Result<rect::Watch, Failure> {
+) -> Result<rect::Watcher, Failure> {
     let options = QueueOptions::read(options, NEWEST)?;
-    program.wait(program.robot.watch_with(sender, topic, options))
+    program.wait(program.robot.watch_with(stream, options))
 }
 
 fn open(
     robot: RobotHandle,
-    sender: &str,
-    topic: &str,
+    stream: &str,
     options: Option<&QueueOptions>,
-    watch: Out<'_, Watch>,
-    with: impl FnOnce(rect::Watch) -> rect::Watch,
+    watcher: Out<'_, Watcher>,
+    with: impl FnOnce(rect::Watcher) -> rect::Watcher,
 ) -> Result<(), Failure> {
-    require_out("watch", &watch)?;
+    require_out("watcher", &watcher)?;
     let program = robot.resolve()?;
-    let declared = with(declare(&program, sender, topic, options)?);
+    let declared = with(declare(&program, stream, options)?);
     let id = handle::insert(Cancellable::new(declared, &program));
-    write_out("watch", watch, Watch { id })
+    write_out("watcher", watcher, Watcher { id })
 }
 
-/// Watches the stream `topic` of the robot `sender`, and writes the handle to `watch`. By default only the newest frame
+/// Receives a stream, `<robot>/<topic>`, and writes the handle to `watcher`. By default only the newest frame
 /// waits for the program; `options` may specify a larger receive queue, or be NULL.
 ///
-/// Returns `RECT_CODE_NAME` or `RECT_CODE_TOPIC` if the sender or the topic is invalid. May be called on any thread.
+/// Returns `RECT_CODE_TOPIC` if the robot or topic is invalid. May be called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_watch(
     robot: RobotHandle,
-    sender: *const c_char,
-    topic: *const c_char,
+    stream: *const c_char,
     options: Option<&QueueOptions>,
-    watch: Option<&mut MaybeUninit<Watch>>,
+    watcher: Option<&mut MaybeUninit<Watcher>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
         // SAFETY: the caller follows the rules of rect.h.
-        let (sender, topic) = unsafe { (text("sender", sender)?, text("topic", topic)?) };
-        open(robot, sender, topic, options, watch, std::convert::identity)
+        let stream = unsafe { text("stream", stream)? };
+        open(robot, stream, options, watcher, std::convert::identity)
     })
 }
 
 /// Does what `rect_robot_watch` does, but leaves video undecoded: the payloads are the frames as they were sent, from a key frame
 /// on, with the encoding `video/h264`. A program that saves or forwards them needs them all, and so a larger receive queue.
 ///
-/// Returns `RECT_CODE_NAME` or `RECT_CODE_TOPIC` if the sender or the topic is invalid. May be called on any thread.
+/// Returns `RECT_CODE_TOPIC` if the robot or topic is invalid. May be called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_watch_undecoded(
     robot: RobotHandle,
-    sender: *const c_char,
-    topic: *const c_char,
+    stream: *const c_char,
     options: Option<&QueueOptions>,
-    watch: Option<&mut MaybeUninit<Watch>>,
+    watcher: Option<&mut MaybeUninit<Watcher>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
         // SAFETY: the caller follows the rules of rect.h.
-        let (sender, topic) = unsafe { (text("sender", sender)?, text("topic", topic)?) };
-        open(robot, sender, topic, options, watch, rect::Watch::undecoded)
+        let stream = unsafe { text("stream", stream)? };
+        open(robot, stream, options, watcher, rect::Watcher::undecoded)
     })
 }
 
 /// Waits for the next frame and writes it to `frame`.
 ///
 /// Returns `RECT_CODE_TIMED_OUT` if none arrives within `timeout_ms` (`RECT_FOREVER` waits without a limit), and
-/// `RECT_CODE_CLOSED` if the session was closed or another thread dropped the watch.
+/// `RECT_CODE_CLOSED` if the session was closed or another thread dropped the watcher.
 ///
 /// May be called on any thread; if several threads wait, one of them receives the frame.
 #[no_mangle]
-pub extern "C" fn rect_watch_next(
-    watch: Watch,
+pub extern "C" fn rect_watcher_next(
+    watcher: Watcher,
     timeout_ms: u32,
     frame: Option<&mut MaybeUninit<Frame>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
         require_out("frame", &frame)?;
-        let waiting = handle::get::<Cancellable<rect::Watch>>(watch.id)?;
-        let next = waiting.next("frame", timeout_ms, rect::Watch::next)?;
+        let waiting = handle::get::<Cancellable<rect::Watcher>>(watcher.id)?;
+        let next = waiting.next("frame", timeout_ms, rect::Watcher::next)?;
         write_out("frame", frame, frame::into_c(next))
     })
 }
@@ -140,12 +136,12 @@ pub extern "C" fn rect_watch_next(
 /// Asks the sender of a video for a key frame, with the next frame that arrives: for a program that decodes the video itself, and
 /// has dropped frames. May be called on any thread.
 #[no_mangle]
-pub extern "C" fn rect_watch_ask_for_key_frame(
-    watch: Watch,
+pub extern "C" fn rect_watcher_ask_for_key_frame(
+    watcher: Watcher,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        let watching = handle::get::<Cancellable<rect::Watch>>(watch.id)?;
+        let watching = handle::get::<Cancellable<rect::Watcher>>(watcher.id)?;
         watching.source().ask_for_key_frame();
         Ok(())
     })
@@ -154,13 +150,13 @@ pub extern "C" fn rect_watch_ask_for_key_frame(
 /// Writes the round trip of a small message to the stream's sender to `round_trip_us`, in microseconds; -1 until the first one
 /// has been measured. May be called on any thread.
 #[no_mangle]
-pub extern "C" fn rect_watch_round_trip(
-    watch: Watch,
+pub extern "C" fn rect_watcher_round_trip(
+    watcher: Watcher,
     round_trip_us: Option<&mut MaybeUninit<i64>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        let watching = handle::get::<Cancellable<rect::Watch>>(watch.id)?;
+        let watching = handle::get::<Cancellable<rect::Watcher>>(watcher.id)?;
         let measured = watching.source().round_trip().map(|time| time.as_micros());
         let us = measured.map_or(-1, |us| i64::try_from(us).unwrap_or(i64::MAX));
         write_out("round_trip_us", round_trip_us, us)
@@ -173,13 +169,12 @@ pub extern "C" fn rect_watch_round_trip(
 ///
 /// `release` is called once with `context` when no more calls will follow, even if this function fails.
 ///
-/// Returns `RECT_CODE_NAME` or `RECT_CODE_TOPIC` if the sender or the topic is invalid. May be called on any thread. The
+/// Returns `RECT_CODE_TOPIC` if the robot or topic is invalid. May be called on any thread. The
 /// callback may call any function of RECT and may drop its own subscription.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_on_frame(
     robot: RobotHandle,
-    sender: *const c_char,
-    topic: *const c_char,
+    stream: *const c_char,
     options: Option<&QueueOptions>,
     callback: OnFrame,
     context: *mut c_void,
@@ -191,10 +186,10 @@ pub unsafe extern "C" fn rect_robot_on_frame(
     call(error, || {
         require_out("subscription", &subscription)?;
         // SAFETY: the caller follows the rules of rect.h.
-        let (sender, topic) = unsafe { (text("sender", sender)?, text("topic", topic)?) };
+        let stream = unsafe { text("stream", stream)? };
         let callback = require("callback", callback)?;
         let program = robot.resolve()?;
-        let declared = declare(&program, sender, topic, options)?;
+        let declared = declare(&program, stream, options)?;
         let started = subscription::start(&program, declared, wrapper, move |frame, context| {
             callback(&frame::view(frame), context);
         })?;

@@ -148,9 +148,9 @@ static void services(rect_robot one, rect_robot two) {
 }
 
 static void streams(rect_robot one, rect_robot two) {
-    rect_stream stream;
+    rect_stream_sender stream;
     rect_stream_options options = {0};
-    rect_watch watch;
+    rect_watcher watch;
     rect_frame frame;
     rect_code code;
     int64_t round_trip_us;
@@ -158,14 +158,14 @@ static void streams(rect_robot one, rect_robot two) {
     const rect_payload payload = rect_payload_bytes(value, sizeof value);
     options.mode = RECT_STREAM_MODE_SENSOR;
     must(rect_robot_stream(one, "distance", &options, &stream, &error), "stream");
-    must(rect_robot_watch(two, "wombat-1", "distance", NULL, &watch, &error), "watch");
+    must(rect_robot_watch(two, "wombat-1/distance", NULL, &watch, &error), "watch");
     do {
-        must(rect_stream_send(stream, &payload, NULL, &error), "send");
-        code = rect_watch_next(watch, RETRY_MS, &frame, &error);
+        must(rect_stream_sender_send(stream, &payload, NULL, &error), "send");
+        code = rect_watcher_next(watch, RETRY_MS, &frame, &error);
     } while (code == RECT_CODE_TIMED_OUT);
     must(code, "next");
     check(frame.payload.len == 2 && memcmp(frame.payload.data, value, 2) == 0, "the frame is correct");
-    must(rect_watch_round_trip(watch, &round_trip_us, &error), "round_trip");
+    must(rect_watcher_round_trip(watch, &round_trip_us, &error), "round_trip");
     check(round_trip_us >= -1, "the round trip is not measured yet, or positive");
     must(rect_drop(&frame.id, &error), "drop");
     must(rect_drop(&watch.id, &error), "drop");

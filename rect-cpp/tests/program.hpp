@@ -88,7 +88,7 @@ private:
         if (!message) {
             return failed(message);
         }
-        return Json{(*message)->sender(), (*message)->topic(), read((*message)->payload)};
+        return Json{message->sender(), message->topic(), read(message->payload)};
     }
 
     Outcome publisher(const Json& step) { return keep(publishers_, step[1], robot_.publisher(text(step[1]))); }

@@ -40,7 +40,7 @@ def test_numbers_bools_and_text_need_no_further_header(value: str) -> None:
         '(void)robot.publish("x", std::vector<double>{1, 2});',
         '(void)robot.send("wombat-2", "x", Reading{12.5});',
         '(void)robot.request("wombat-2", "x", Reading{12.5}, std::chrono::seconds(1));',
-        '(void)rect::must(robot.wait_for_message("wombat-2", "x", std::chrono::seconds(1)))->payload.value<Reading>();',
+        '(void)rect::must(robot.wait_for_message("wombat-2/x", std::chrono::seconds(1))).payload.value<Reading>();',
     ],
 )
 def test_type_without_adapter_is_rejected_with_one_error_that_names_the_header(use: str) -> None:

@@ -27,12 +27,12 @@ TEST_CASE("calls on a dropped handle fail, and so does dropping a copy of it") {
     CHECK(robot.close().error().code == rect::Code::handle);
     CHECK(rect::Subscriber().next(0ms).error().code == rect::Code::handle);
     CHECK(rect::Replies().next().error().code == rect::Code::handle);
-    CHECK(rect::Stream().send("x").error().code == rect::Code::handle);
+    CHECK(rect::StreamSender().send("x").error().code == rect::Code::handle);
     CHECK(rect::Publisher().publish("x").error().code == rect::Code::handle);
     CHECK(rect::Publisher().wait_for_subscriber(0ms).error().code == rect::Code::handle);
     CHECK(robot.wait_for_peer("wombat-2", 0ms).error().code == rect::Code::handle);
     CHECK(robot.wait_until_established(0ms).error().code == rect::Code::handle);
-    CHECK(rect::Watch().next(0ms).error().code == rect::Code::handle);
+    CHECK(rect::Watcher().next(0ms).error().code == rect::Code::handle);
     CHECK(rect::Transfer().wait(0ms).error().code == rect::Code::handle);
     CHECK(rect::Transfers().next(0ms).error().code == rect::Code::handle);
 }
@@ -91,7 +91,7 @@ TEST_CASE("moving transfers ownership of the handle") {
 TEST_CASE("a waiting call returns when another thread drops the object or closes the session") {
     Pair pair;
     auto subscriber = must(pair.one.subscribe("*/never"));
-    auto watch = must(pair.one.watch("wombat-2", "never"));
+    auto watch = must(pair.one.watch("wombat-2/never"));
     const auto other = must(pair.one.subscribe("*/never"));
     rect::Code codes[3] = {};
     std::thread first([&] { codes[0] = subscriber.next().error().code; });

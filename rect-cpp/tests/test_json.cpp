@@ -28,15 +28,15 @@ TEST_CASE("structs survive a round trip as JSON and as CBOR") {
     const auto subscriber = must(pair.two.subscribe("*/json"));
     const Reading reading{12.5, "arm"};
     const auto json = pair.publish_until_received(subscriber, "json", reading);
-    CHECK(json->payload.encoding() == "application/json");
-    CHECK(must(json->payload.value<Reading>()).degrees == 12.5);
-    CHECK(must(json->payload.value<nlohmann::json>())["name"] == "arm");
+    CHECK(json.payload.encoding() == "application/json");
+    CHECK(must(json.payload.value<Reading>()).degrees == 12.5);
+    CHECK(must(json.payload.value<nlohmann::json>())["name"] == "arm");
     const auto other = must(pair.two.subscribe("*/cbor"));
     const auto cbor = pair.publish_until_received(other, "cbor", rect::Cbor(reading));
-    CHECK(cbor->payload.encoding() == "application/cbor");
-    CHECK(must(cbor->payload.value<Reading>()).name == "arm");
+    CHECK(cbor.payload.encoding() == "application/cbor");
+    CHECK(must(cbor.payload.value<Reading>()).name == "arm");
     const auto numbers = must(pair.two.subscribe("*/number"));
-    CHECK(must(pair.publish_until_received(numbers, "number", 42)->payload.value<int>()) == 42);
+    CHECK(must(pair.publish_until_received(numbers, "number", 42).payload.value<int>()) == 42);
 }
 
 TEST_CASE("invalid, mismatched or deeply nested JSON and CBOR is rejected") {

@@ -13,10 +13,10 @@ TEST_CASE("a message received over Bluetooth reports its method", "[.routers]") 
     until([&] {
         must(routers.one.publish("arm/angle", "12.5"));
         message = subscriber.next(retry_interval);
-        return message && !(*message)->method().empty();
+        return message && !message->method().empty();
     });
-    CHECK((*message)->method() == "ble");
-    CHECK(must((*message)->payload.text()) == "12.5");
+    CHECK(message->method() == "ble");
+    CHECK(must(message->payload.text()) == "12.5");
 }
 
 TEST_CASE("messages over Bluetooth arrive once the subscription is established", "[.routers]") {
@@ -25,7 +25,7 @@ TEST_CASE("messages over Bluetooth arrive once the subscription is established",
     const auto subscriber = must(routers.two.subscribe("wombat-1/arm/*"));
     must(routers.two.wait_until_established(deadline));
     must(routers.one.publish("arm/angle", 12.5));
-    CHECK(must(subscriber.next(deadline))->topic() == "arm/angle");
+    CHECK(must(subscriber.next(deadline)).topic() == "arm/angle");
 }
 
 TEST_CASE("a publisher waits for a subscriber over Bluetooth", "[.routers]") {
@@ -34,7 +34,7 @@ TEST_CASE("a publisher waits for a subscriber over Bluetooth", "[.routers]") {
     const auto subscriber = must(routers.two.subscribe("wombat-1/arm/*"));
     must(angles.wait_for_subscriber(deadline));
     must(angles.publish(12.5));
-    CHECK(must(subscriber.next(deadline))->topic() == "arm/angle");
+    CHECK(must(subscriber.next(deadline)).topic() == "arm/angle");
 }
 
 TEST_CASE("a request over Bluetooth is answered", "[.routers]") {

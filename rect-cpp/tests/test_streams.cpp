@@ -35,14 +35,14 @@ private:
 TEST_CASE("frames of a sensor's stream have numbers and ages") {
     Pair pair;
     const auto stream = must(pair.one.stream("distance", rect::StreamOptions::sensor()));
-    const auto watch = must(pair.two.watch("wombat-1", "distance"));
+    const auto watch = must(pair.two.watch("wombat-1/distance"));
     const Repeat sending([&] { must(stream.send(std::vector<std::uint8_t>{12, 34})); });
     const auto first = must(watch.next(deadline));
-    CHECK(first->payload.bytes().size() == 2);
-    CHECK(first->payload.bytes()[1] == 34);
+    CHECK(first.payload.bytes().size() == 2);
+    CHECK(first.payload.bytes()[1] == 34);
     const auto next = must(watch.next(deadline));
-    CHECK(next->number() > first->number());
-    until([&] { return must(watch.next(deadline))->age().has_value(); });
+    CHECK(next.number() > first.number());
+    until([&] { return must(watch.next(deadline)).age().has_value(); });
 }
 
 TEST_CASE("a camera's pictures arrive as pictures") {
@@ -52,7 +52,7 @@ TEST_CASE("a camera's pictures arrive as pictures") {
     const auto stream = must(pair.one.stream("camera"));
     Flag received;
     std::atomic<std::uint32_t> width{0};
-    const auto watch = must(pair.two.watch("wombat-1", "camera", [&](const rect::FrameView& frame) {
+    const auto watch = must(pair.two.watch("wombat-1/camera", [&](const rect::FrameView& frame) {
         width = must(frame.payload.picture()).width();
         received.set();
     }));
@@ -70,20 +70,20 @@ TEST_CASE("video arrives as pictures, or as it was sent") {
     const std::vector<std::uint8_t> pixels(64 * 48 * 3, 90);
     const rect::Picture picture(64, 48, rect::Format::rgb8, pixels);
     const auto stream = must(pair.one.stream("camera", rect::StreamOptions::video()));
-    const auto decoded = must(pair.two.watch("wombat-1", "camera"));
+    const auto decoded = must(pair.two.watch("wombat-1/camera"));
     rect::QueueOptions every_frame;
     every_frame.capacity = 100;
-    const auto undecoded = must(pair.two.watch_undecoded("wombat-1", "camera", every_frame));
+    const auto undecoded = must(pair.two.watch_undecoded("wombat-1/camera", every_frame));
     const Repeat sending([&] { must(stream.send(picture)); });
     until([&] {
         const auto frame = must(decoded.next(deadline));
-        const auto shown = must(frame->payload.picture());
-        CHECK(frame->sent_bytes() < pixels.size() / 4);
+        const auto shown = must(frame.payload.picture());
+        CHECK(frame.sent_bytes() < pixels.size() / 4);
         return shown.width() == 64 && shown.height() == 48;
     });
     const auto frame = must(undecoded.next(deadline));
-    CHECK(frame->payload.encoding() == "video/h264");
-    CHECK(frame->sent_bytes() == frame->payload.bytes().size());
+    CHECK(frame.payload.encoding() == "video/h264");
+    CHECK(frame.sent_bytes() == frame.payload.bytes().size());
     must(undecoded.ask_for_key_frame());
     CHECK_THAT(must(stream.status()), ContainsSubstring("\"key_frames\""));
 }
@@ -100,7 +100,7 @@ TEST_CASE("the byte limit of a stream is respected, and receivers report") {
     options.max_bytes_per_s = 1000;
     options.feedback_interval = 200ms;
     const auto stream = must(pair.one.stream("camera", options));
-    const auto watch = must(pair.two.watch("wombat-1", "camera"));
+    const auto watch = must(pair.two.watch("wombat-1/camera"));
     const std::vector<std::uint8_t> pixels(64 * 48 * 3, 90);
     const Repeat sending([&] { must(stream.send(rect::Picture(64, 48, rect::Format::rgb8, pixels))); });
     until([&] {

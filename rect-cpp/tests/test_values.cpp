@@ -14,12 +14,12 @@ TEST_CASE("text and bytes survive a round trip") {
     Pair pair;
     const auto subscriber = must(pair.two.subscribe("*/v"));
     const std::vector<std::uint8_t> bytes{0, 1, 255};
-    CHECK(must(pair.publish_until_received(subscriber, "v", "hä")->payload.text()) == "hä");
+    CHECK(must(pair.publish_until_received(subscriber, "v", "hä").payload.text()) == "hä");
     const auto other = must(pair.two.subscribe("*/b"));
     const auto message = pair.publish_until_received(other, "b", bytes);
-    CHECK(message->payload.encoding() == "zenoh/bytes");
-    CHECK(std::equal(bytes.begin(), bytes.end(), message->payload.bytes().begin(), message->payload.bytes().end()));
-    const auto error = message->payload.text().error();
+    CHECK(message.payload.encoding() == "zenoh/bytes");
+    CHECK(std::equal(bytes.begin(), bytes.end(), message.payload.bytes().begin(), message.payload.bytes().end()));
+    const auto error = message.payload.text().error();
     CHECK(error.code == rect::Code::payload);
     CHECK_THAT(error.text, ContainsSubstring("zenoh/bytes, but text is required"));
 }
@@ -55,7 +55,7 @@ TEST_CASE("numbers and bools are published as equivalent JSON") {
     CHECK(none.error().code == rect::Code::payload);
     Pair pair;
     const auto subscriber = must(pair.two.subscribe("*/angle"));
-    CHECK(must(pair.publish_until_received(subscriber, "angle", 12.5)->payload.text()) == "12.5");
+    CHECK(must(pair.publish_until_received(subscriber, "angle", 12.5).payload.text()) == "12.5");
 }
 
 TEST_CASE("arrays survive a round trip with their shape") {
@@ -63,8 +63,8 @@ TEST_CASE("arrays survive a round trip with their shape") {
     const auto subscriber = must(pair.two.subscribe("*/scan"));
     const std::array<float, 6> scan{1.5F, -2, 3, 4, 5, 6e9F};
     const auto message = pair.publish_until_received(subscriber, "scan", must(rect::numbers(scan, {2, 3})));
-    CHECK(message->payload.encoding() == "application/octet-stream;array;f32;2x3");
-    const auto array = must(message->payload.array());
+    CHECK(message.payload.encoding() == "application/octet-stream;array;f32;2x3");
+    const auto array = must(message.payload.array());
     REQUIRE(array.shape().size() == 2);
     CHECK(array.shape()[1] == 3);
     const auto numbers = array.numbers<float>();
@@ -80,7 +80,7 @@ TEST_CASE("pictures are encoded and decoded") {
     Pair pair;
     const auto subscriber = must(pair.two.subscribe("*/photo"));
     const auto raw = pair.publish_until_received(subscriber, "photo", picture);
-    const auto png = must(rect::encode("png", raw->payload));
+    const auto png = must(rect::encode("png", raw.payload));
     CHECK(png.view().encoding() == "image/png");
     const auto read = must(png.view().picture());
     CHECK(read.width() == 16);

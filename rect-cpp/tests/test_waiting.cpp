@@ -18,8 +18,8 @@ TEST_CASE("the first message after waiting for a subscriber is received") {
     CHECK(must(angles.has_subscribers()));
     must(angles.publish(12.5));
     const auto message = must(subscriber.next(deadline));
-    CHECK(message->topic() == "arm/angle");
-    CHECK(must(message->payload.text()) == "12.5");
+    CHECK(message.topic() == "arm/angle");
+    CHECK(must(message.payload.text()) == "12.5");
 }
 
 TEST_CASE("a publisher without subscribers any more reports that") {

@@ -1,5 +1,4 @@
 //! Encodes and decodes the attachments of messages.
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use pyo3::{prelude::*, types::PyBytes};
 use rect_core::message::attachment::{Attachment, Sent};
@@ -33,12 +32,6 @@ pub fn write_attachment(
         lifetime_ms: None,
     };
     PyBytes::new(py, &attachment.encode())
-}
-
-/// Returns the time by this computer's clock, in milliseconds since 1970.
-pub fn now_ms() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH);
-    since.map_or(0, |since| since.as_millis() as u64)
 }
 
 /// Decodes an attachment. Returns `None` if the bytes are not an attachment of RECT.

@@ -23,8 +23,13 @@ impl AtomicCounters {
         self.0.on_expired(0);
     }
 
-    /// Returns messages sent, their bytes, messages received, their bytes, messages missed, expired and rejected.
-    fn read(&self) -> (u64, u64, u64, u64, u64, u64, u64) {
+    /// Counts a value that does not fit its type.
+    fn on_problem(&self) {
+        self.0.on_problem();
+    }
+
+    /// Returns messages sent, their bytes, messages received, their bytes, messages missed, expired and rejected, and problems.
+    fn read(&self) -> (u64, u64, u64, u64, u64, u64, u64, u64) {
         let read = self.0.read();
         (
             read.sent,
@@ -34,6 +39,7 @@ impl AtomicCounters {
             read.missed,
             read.expired,
             read.rejected,
+            read.problems,
         )
     }
 }

@@ -54,13 +54,6 @@ pub fn pattern(text: &str) -> PyResult<(Option<String>, String)> {
     Ok((robot, pattern.topic().to_owned()))
 }
 
-/// Returns the pattern of the messages of a robot on a topic. The topic may contain wildcards.
-#[pyfunction]
-pub fn pattern_of(robot: &str, topic: &str) -> PyResult<String> {
-    let pattern = Pattern::of(Some(name(robot)?), topic).or_raise()?;
-    Ok(pattern.to_string())
-}
-
 /// Returns the media type and the schema of an encoding, and the encoding without its suffix `;zstd` (`None` if it has
 /// no such suffix).
 #[pyfunction]

@@ -41,13 +41,12 @@ mod _rect {
         decoder::{Decoder, Fetched},
         detached::{forget_work, settle},
         driver::{
-            direct_presence, established_wait, observer, peer_wait, peers_query, registry_change,
-            registry_query, router_observer, ConnectionsReport, Driver, Report,
+            direct_presence, established_wait, expected_connection, observer, peer_wait,
+            peers_query, registry_change, registry_query, router_observer, ConnectionsReport,
+            Driver, Report,
         },
         errors::{forget, on_one_line},
-        key_space::{
-            check_encoding, check_name, check_topic, encoding_parts, pattern, pattern_of, KeySpace,
-        },
+        key_space::{check_encoding, check_name, check_topic, encoding_parts, pattern, KeySpace},
         message::{Inbound, MessageMetadata},
         picture::{array_encoding, picture, picture_encoding, read_array, read_picture, scaled},
         publication::Numbering,

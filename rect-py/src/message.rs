@@ -7,6 +7,7 @@ use std::{
 use bytes::Bytes;
 use pyo3::prelude::*;
 use rect_core::{
+    clock::unix::ms_since_1970,
     message::{self, encoding::Encoding, payload::Payload, Delivery, Message, Undelivered},
     name::{key::Selected, topic::Pattern, Name},
 };
@@ -132,8 +133,8 @@ impl MessageMetadata {
     }
 
     #[getter]
-    fn sent_ms(&self) -> Option<u64> {
-        self.0.sent_ms
+    fn sent_at_ms(&self) -> Option<u64> {
+        self.0.sent_at.map(ms_since_1970)
     }
 
     #[getter]

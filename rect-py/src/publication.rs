@@ -1,10 +1,13 @@
 //! Numbers the messages that a program publishes.
-use std::{sync::Mutex, time::Duration};
+use std::{
+    sync::Mutex,
+    time::{Duration, SystemTime},
+};
 
 use pyo3::{prelude::*, types::PyBytes};
-use rect_core::{message::attachment::Sent, session::publication};
+use rect_core::{clock::unix::ms_since_1970, message::attachment::Sent, session::publication};
 
-use crate::{attachment::now_ms, driver::lock};
+use crate::driver::lock;
 
 /// Numbers the messages of one publisher.
 #[pyclass(frozen, module = "rect._rect")]
@@ -22,7 +25,10 @@ impl Numbering {
     #[pyo3(signature = (lifetime=None))]
     fn attachment<'py>(&self, py: Python<'py>, lifetime: Option<f64>) -> Bound<'py, PyBytes> {
         let lifetime = lifetime.map(|s| Duration::try_from_secs_f64(s).unwrap_or(Duration::MAX));
-        PyBytes::new(py, &lock(&self.0).attachment(Sent::At(now_ms()), lifetime))
+        PyBytes::new(
+            py,
+            &lock(&self.0).attachment(Sent::At(ms_since_1970(SystemTime::now())), lifetime),
+        )
     }
 
     /// Handles that the message was sent.

@@ -2,7 +2,7 @@
 use std::{
     path::PathBuf,
     sync::{Arc, Mutex},
-    time::{Duration, Instant},
+    time::{Duration, Instant, UNIX_EPOCH},
 };
 
 use bytes::Bytes;
@@ -285,7 +285,7 @@ fn message(entry: &Entry) -> Option<Message> {
     Some(Message {
         recipient: recipient.and_then(|name| Name::new(name).ok()),
         urgency: entry.urgency,
-        sent_ms: u64::try_from(entry.sent.as_millis()).ok(),
+        sent_at: UNIX_EPOCH.checked_add(entry.sent),
         sequence: Some(entry.sequence),
         publisher: entry.publisher,
         ..Message::new(sender, topic, Payload::new(Bytes::new(), Encoding::BYTES))

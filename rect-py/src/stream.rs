@@ -1,7 +1,7 @@
 //! Wraps the core's sending and receiving ends of a stream.
 use std::{
     sync::{Arc, Mutex},
-    time::{Duration, Instant},
+    time::{Duration, Instant, SystemTime},
 };
 
 use pyo3::{
@@ -9,22 +9,25 @@ use pyo3::{
     pybacked::PyBackedBytes,
     types::{PyBytes, PyTuple},
 };
-use rect_core::stream::{
-    frame, job,
-    ladder::Coding,
-    options::{OptionError, PartialOptions},
-    picture::{LossyFormat, PictureEncoder},
-    publish, read, watch,
+use rect_core::{
+    clock::unix::ms_since_1970,
+    name::topic::RobotTopic,
+    stream::{
+        frame, job,
+        ladder::Coding,
+        options::{OptionError, PartialOptions},
+        picture::{LossyFormat, PictureEncoder},
+        publish, read, watch,
+    },
 };
 
 use crate::{
-    attachment::now_ms,
     clock::Clock,
     codec::{parts, payload, Parts},
     detached::detached,
     driver::{act, lock, Driver},
     errors::{raised, OrRaise, Raised},
-    key_space::{name, topic, KeySpace},
+    key_space::{topic, KeySpace},
     picture::picture_of,
     urgency,
 };
@@ -96,7 +99,7 @@ impl StreamPublish {
             options,
             urgency::parse(py, urgency)?,
             source,
-            unix_ms.unwrap_or_else(now_ms),
+            unix_ms.unwrap_or_else(|| ms_since_1970(SystemTime::now())),
             now,
         );
         Ok(Self {
@@ -200,8 +203,9 @@ impl Job {
 impl StreamWatch {
     /// Creates the receiving end of a stream of a robot. `id` is a random number of 16 bits.
     #[new]
-    fn new(key_space: &KeySpace, robot: &str, topic: &str, id: u16) -> PyResult<Self> {
-        let (robot, topic, clock) = (name(robot)?, self::topic(topic)?, Clock::new());
+    fn new(key_space: &KeySpace, stream: &str, id: u16) -> PyResult<Self> {
+        let RobotTopic { robot, topic } = RobotTopic::new(stream).or_raise()?;
+        let clock = Clock::new();
         let core = watch::StreamWatch::new(&key_space.0, robot, topic, id, clock.created_at());
         Ok(Self {
             core: Arc::new(Mutex::new(core)),

@@ -5,7 +5,10 @@ use pyo3::{
     exceptions::PyTypeError,
     prelude::*,
     pybacked::PyBackedBytes,
-    types::{PyBool, PyByteArray, PyBytes, PyDict, PyFloat, PyInt, PyList, PyString, PyTuple},
+    types::{
+        PyBool, PyByteArray, PyBytes, PyDateTime, PyDict, PyFloat, PyFrozenSet, PyInt, PyList,
+        PySet, PyString, PyTuple,
+    },
 };
 use rect_core::{
     cause::Cause,
@@ -154,7 +157,7 @@ fn read<'py>(value: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) -> PyR
     read_other(value, form, path)
 }
 
-/// Converts less common values: bytes, dataclasses, and numbers and arrays of numpy.
+/// Converts less common values: bytes, dataclasses, models, members of an Enum, times, sets, and numbers and arrays of numpy.
 fn read_other<'py>(value: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) -> PyResult<Value> {
     let py = value.py();
     let bytes = if let Ok(bytes) = value.cast::<PyBytes>() {
@@ -189,6 +192,32 @@ fn read_other<'py>(value: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) 
         }
         return Ok(Value::Map(all));
     }
+    // Models of msgspec and pydantic, members of an Enum, and times.
+    if let Ok(fields) = class.getattr("__struct_fields__") {
+        let mut all = Vec::new();
+        for field in fields.cast_into::<PyTuple>()?.iter() {
+            let name = field.cast_into::<PyString>()?;
+            let item = value.getattr(&name)?;
+            let key = Value::Text(name.to_string());
+            path.0.push(Step::Key(name.into_any()));
+            all.push((key, read(&item, form, path)?));
+            path.0.pop();
+        }
+        return Ok(Value::Map(all));
+    }
+    if class.hasattr("model_dump")? {
+        return read(&value.call_method0("model_dump")?, form, path);
+    }
+    if class.hasattr("__members__")? {
+        return read(&value.getattr("value")?, form, path);
+    }
+    if value.is_instance_of::<PyDateTime>() {
+        return read(&value.call_method0("isoformat")?, form, path);
+    }
+    if value.is_instance_of::<PySet>() || value.is_instance_of::<PyFrozenSet>() {
+        let items = value.try_iter()?.collect::<PyResult<Vec<_>>>()?;
+        return read_list(items.into_iter(), form, path);
+    }
     let is_numpy = value.hasattr("dtype")? && value.hasattr("tolist")?;
     if is_numpy {
         let plain = value.call_method0("tolist")?;
@@ -197,7 +226,7 @@ fn read_other<'py>(value: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) 
         }
     }
     let reason = format!(
-        "is of the type {}; possible types: dict, list, str, int, float, bool, None and dataclasses of them",
+        "is of the type {}; possible types: dict, list, tuple, set, str, int, float, bool, None, datetime, Enum, dataclasses, and models of pydantic and msgspec",
         class.name()?
     );
     Err(path.error(py, form, reason))

@@ -24,9 +24,19 @@ def free_port() -> int:
         return port
 
 
+Pair = tuple[rect.Robot, rect.Robot]
+
+
 @pytest.fixture
-def pair() -> Iterator[tuple[rect.Robot, rect.Robot]]:
+def pair() -> Iterator[Pair]:
     """Connects `wombat-1` and `wombat-2`, and waits until each has discovered the other."""
+    with connected_pair() as robots:
+        yield robots
+
+
+@contextmanager
+def connected_pair() -> Iterator[Pair]:
+    """Does the same outside of fixtures."""
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with rect.connect("wombat-1", listen=[endpoint]) as one, rect.connect("wombat-2", endpoints=[endpoint]) as two:
         for robot in (one, two):

@@ -104,8 +104,8 @@ def test_plain_and_async_callbacks_continue_after_exception(caplog: pytest.LogCa
             if message.value == 1:
                 loop.call_soon_threadsafe(both[1].set)
 
-        two.subscribe("wombat-1/count", plain_callback)
-        two.subscribe("wombat-1/count", callback)
+        two.subscribe("wombat-1/count", callback=plain_callback)
+        two.subscribe("wombat-1/count", callback=callback)
         await asyncio.to_thread(until_subscribed, one._robot, "count")
         await one.publish("count", 0)
         await one.publish("count", 1)
@@ -166,7 +166,7 @@ def test_transfers_and_streams() -> None:
             await one.transfer("wombat-2", "maps", b"x" * 300_000)
             assert (await maps.next(DEADLINE)).content == b"x" * 300_000
         picture = numpy.zeros((24, 32, 3), numpy.uint8)
-        async with one.stream("camera") as camera, two.watch("wombat-1", "camera") as watch:
+        async with one.stream("camera") as camera, two.watch("wombat-1/camera") as watch:
             frames = asyncio.ensure_future(watch.next(DEADLINE))
             while not frames.done():
                 await camera.send(picture)

@@ -92,7 +92,7 @@ class Subject:
         return driver
 
     def _stream_watch(self, of: dict[str, Any]) -> _rect.StreamWatch:
-        return _rect.StreamWatch(self._place, of["robot"], of["topic"], of["id"])
+        return _rect.StreamWatch(self._place, f"{of['robot']}/{of['topic']}", of["id"])
 
     def _stream_publish(self, of: dict[str, Any]) -> _rect.StreamPublish:
         publish = (self._place, of["topic"], "normal", of["mode"], of["source"])

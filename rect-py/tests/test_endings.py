@@ -46,14 +46,14 @@ def run(ending: str) -> subprocess.CompletedProcess[str]:
         "one.zenoh.close(); two.zenoh.close()",
         "one.close(); subscriber = one.zenoh",
         "subscriber = two.subscribe('*/x'); del two",
-        "subscriber = two.subscribe('*/x', print); one.close()",
-        "subscriber = two.subscribe('*/**', lambda message: time.sleep(60)); [one.publish('x', n) for n in range(100)]",
+        "subscriber = two.subscribe('*/x', callback=print); one.close()",
+        "subscriber = two.subscribe('*/**', callback=lambda _: time.sleep(60)); one.publish('x', 1)",
         "subscriber = two.subscribe('*/**', capacity=1, when_full='block'); [one.publish('x', n) for n in range(100)]",
         "service = one.serve('slow', lambda request: time.sleep(60)); "
         "threading.Thread(target=lambda: two.request('wombat-1', 'slow', timeout=60), daemon=True).start(); "
         "time.sleep(0.2)",
         "replies = two.request_all('nothing', timeout=60)",
-        "stream = one.stream('camera'); watch = two.watch('wombat-1', 'camera'); del one, two",
+        "stream = one.stream('camera'); watch = two.watch('wombat-1/camera'); del one, two",
         "maps = two.receive_transfers('*/maps'); one.transfer('wombat-2', 'maps', b'x' * 1_000_000)",
         "threading.Thread(target=lambda: one.transfer('nobody', 'maps', b''), daemon=True).start()",
         "threading.Thread(target=lambda: list(two.subscribe('*/x')), daemon=True).start()",
@@ -85,12 +85,12 @@ def test_program_exits_with_uncaught_exception() -> None:
     [
         "two.subscribe('*/x').next()",
         "list(two.subscribe('*/x'))",
-        "two.wait_for_message('wombat-1', 'x', 60)",
+        "two.wait_for_message('wombat-1/x', timeout=60)",
         "one.serve('slow', lambda request: threading.Event().wait()); "
         "time.sleep(0.3); two.request('wombat-1', 'slow', timeout=60)",
         "one.transfer('nobody', 'maps', b'')",
         "two.receive_transfers('*/maps').next()",
-        "two.watch('wombat-1', 'camera').next()",
+        "two.watch('wombat-1/camera').next()",
         "events = two.events(); events.next(); list(events)",
         "rect.connect('wombat-3', router='tcp/127.0.0.1:9', timeout=60)",
         "import asyncio, rect.aio; asyncio.run(rect.aio.Robot(two).subscribe('*/x').next())",
@@ -114,7 +114,7 @@ def test_ctrl_c_interrupts_every_wait(waiting: str) -> None:
 _CAMERA = """
     import numpy
     camera = one.stream("camera")
-    watch = two.watch("wombat-1", "camera")
+    watch = two.watch("wombat-1/camera")
     picture = numpy.random.default_rng(1).integers(0, 256, (480, 640, 3), numpy.uint8)
     def send_frames():
         try:

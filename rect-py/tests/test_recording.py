@@ -16,6 +16,7 @@ import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -348,7 +349,7 @@ def test_videos_are_recorded_as_viewers_show_them_and_exported(tmp_path: Path) -
 
 def test_a_watched_video_is_saved_and_complete_whenever_the_program_is_killed(tmp_path: Path) -> None:
     endpoint, file = f"tcp/127.0.0.1:{free_port()}", tmp_path / "match.mkv"
-    watch = [program("RECT_TOOL", "rect"), "stream", "watch", "wombat-1", "camera", "--as", "viewer"]
+    watch = [program("RECT_TOOL", "rect"), "stream", "watch", "wombat-1/camera", "--as", "viewer"]
     watch += ["--router", endpoint]
     with rect.connect("wombat-1", listen=[endpoint]) as robot, filming(robot):
         with subprocess.Popen([*watch, "--save", str(file)], stdout=subprocess.PIPE, text=True) as process:
@@ -418,7 +419,7 @@ def test_library_records_and_reads(tmp_path: Path) -> None:
     first = poses[0]
     assert (first.sender, first.topic, first.urgency, first.recipient) == ("wombat-1", "pose", "urgent", None)
     assert first.sequence is not None and first.sent_at is not None
-    assert abs(first.recorded_at - first.sent_at) < 5
+    assert abs(first.recorded_at - first.sent_at) < timedelta(seconds=5)
     others = {message.topic: message for message in recording.messages("wombat-1/note", "wombat-1/camera")}
     assert others["note"].value == "hello"
     assert others["camera"].payload == rect.Payload(JPEG, "image/jpeg")

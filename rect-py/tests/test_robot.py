@@ -12,6 +12,7 @@ import threading
 import time
 import zlib
 from collections.abc import Callable
+from datetime import datetime, timedelta, timezone
 from typing import Any
 
 import numpy
@@ -35,6 +36,7 @@ def test_published_message_arrives_with_metadata(pair: Pair) -> None:
     assert (first.sender, first.topic, first.recipient) == ("wombat-1", "arm/angle", None)
     assert (first.urgency, first.encoding, first.sequence, first.missed) == ("urgent", "application/json", 0, 0)
     assert first.sent_at is not None
+    assert timedelta(0) <= datetime.now(timezone.utc) - first.sent_at < timedelta(seconds=DEADLINE)
     assert subscriber.counts_by_sender == {"wombat-1": rect.SenderCounts(3, 0)}
     assert (two.counters().received, one.counters().sent) == (3, 3)
 
@@ -103,7 +105,7 @@ def test_callback_is_called_again_after_exception(pair: Pair, caplog: pytest.Log
         if message.value == 2:
             done.set()
 
-    two.subscribe("wombat-1/count", callback)
+    two.subscribe("wombat-1/count", callback=callback)
     until_subscribed(one, "count")
     with caplog.at_level(logging.ERROR, "rect"):
         for number in range(3):
@@ -172,7 +174,7 @@ def test_invalid_lifetime_is_named(pair: Pair, expires_after: float) -> None:
 def test_wait_for_message_returns_next_message(pair: Pair) -> None:
     one, two = pair
     with pytest.raises(rect.TimedOut, match="no message wombat-1/arm within 10 ms"):
-        two.wait_for_message("wombat-1", "arm", 0.01)
+        two.wait_for_message("wombat-1/arm", timeout=0.01)
 
     def publish() -> None:
         until_subscribed(one, "arm")
@@ -180,7 +182,7 @@ def test_wait_for_message_returns_next_message(pair: Pair) -> None:
 
     publishing = threading.Thread(target=publish)
     publishing.start()
-    assert two.wait_for_message("wombat-1", "arm", DEADLINE).value == 7
+    assert two.wait_for_message("wombat-1/arm", timeout=DEADLINE).value == 7
     publishing.join()
 
 
@@ -251,7 +253,7 @@ def test_events_are_passed_to_callback(pair: Pair) -> None:
 def test_subscription_to_events_has_counts(pair: Pair) -> None:
     _, two = pair
     received = threading.Event()
-    with two.on_event(lambda event: received.set()) as events, two.watch("wombat-1", "x", print) as frames:
+    with two.on_event(lambda event: received.set()) as events, two.watch("wombat-1/x", callback=print) as frames:
         assert received.wait(DEADLINE)
         for subscription in (events, frames):
             assert (subscription.dropped, subscription.counts_by_sender) == (0, {})
@@ -304,21 +306,21 @@ _NO_SECONDS = "timeout must be a number of seconds, not str"
         (lambda robot: robot.send("", "x", 1), rect.InvalidNameError, "1 to 29 bytes long"),
         (lambda robot: robot.send(None, "x", 1), TypeError, "robot must be a str, not NoneType"),
         (lambda robot: robot.subscribe("arm"), rect.InvalidTopicError, "write `<robot>/<topic>`"),
-        (lambda robot: robot.subscribe("*/x", 7), TypeError, "callback must be a function, not int"),
+        (lambda robot: robot.subscribe("*/x", callback=7), TypeError, "callback must be a function, not int"),
         (lambda robot: robot.subscribe("*/x", when_full="?"), rect.OptionError, '"drop_oldest"'),
         (lambda robot: robot.subscribe("*/x", capacity="1"), TypeError, "capacity must be an integer, not str"),
         (lambda robot: robot.subscribe("*/x", capacity=-1), rect.OptionError, "the option capacity cannot be -1"),
         (lambda robot: robot.subscribe("*/x", capacity=0), rect.OptionError, "it must be an integer of at least 1"),
         (lambda robot: robot.subscribe("*/x", capacity=2**70), rect.OptionError, "the option capacity cannot be"),
         (lambda robot: robot.subscribe("*/x", when_full=1), TypeError, "when_full must be a str, not int"),
-        (lambda robot: robot.watch("a", "x", capacity=-1), rect.OptionError, "the option capacity cannot be -1"),
+        (lambda robot: robot.watch("a/x", capacity=-1), rect.OptionError, "the option capacity cannot be -1"),
         (lambda robot: robot.subscribe("*/x").next(timeout="x"), TypeError, _NO_SECONDS),
         (
             lambda robot: robot.subscribe("*/x").next(timeout=float("nan")),
             rect.OptionError,
             "the option timeout cannot",
         ),
-        (lambda robot: robot.watch("a", "x").next(timeout="x"), TypeError, _NO_SECONDS),
+        (lambda robot: robot.watch("a/x").next(timeout="x"), TypeError, _NO_SECONDS),
         (lambda robot: robot.events().next(timeout="x"), TypeError, _NO_SECONDS),
         (lambda robot: robot.receive_transfers("*/x").next(timeout="x"), TypeError, _NO_SECONDS),
         (
@@ -337,8 +339,8 @@ _NO_SECONDS = "timeout must be a number of seconds, not str"
             "the option port cannot be -1",
         ),
         (lambda robot: robot.add_connection("a", "tcp", "b", port="7"), TypeError, "port must be an integer, not str"),
-        (lambda robot: robot.wait_for_message("*", "x", 1), rect.InvalidNameError, "contains '*'"),
-        (lambda robot: robot.wait_for_message("a", "x", -1), rect.OptionError, "the option timeout cannot be -1"),
+        (lambda robot: robot.wait_for_message("a*/x", timeout=1), rect.InvalidNameError, "contains '*'"),
+        (lambda robot: robot.wait_for_message("a/x", timeout=-1), rect.OptionError, "the option timeout cannot be -1"),
         (lambda robot: robot.request("a", "x", timeout="1"), TypeError, "timeout must be a number of seconds, not str"),
         (lambda robot: robot.serve("x", 7), TypeError, "handler must be a function, not int"),
         (lambda robot: robot.stream("x", mode="fast"), rect.OptionError, '"video", "fixed" or "sensor"'),
@@ -434,7 +436,7 @@ def test_callback_is_called_again_after_sys_exit(pair: Pair, caplog: pytest.LogC
         calls.put(message.value)
         sys.exit(3)
 
-    with caplog.at_level(logging.ERROR, "rect"), two.subscribe("wombat-1/x", record_and_exit):
+    with caplog.at_level(logging.ERROR, "rect"), two.subscribe("wombat-1/x", callback=record_and_exit):
         until_subscribed(one, "x")
         one.publish("x", 1)
         one.publish("x", 2)
@@ -456,7 +458,7 @@ def test_closed_robot_raises_closed(pair: Pair) -> None:
         lambda: one.serve("x", print),
         lambda: one.peers(),
         lambda: one.stream("x"),
-        lambda: one.watch("wombat-2", "x"),
+        lambda: one.watch("wombat-2/x"),
         lambda: one.transfer("wombat-2", "x", b""),
         lambda: one.receive_transfers("*/x"),
         lambda: one.events(),
@@ -471,7 +473,7 @@ def test_closed_handle_is_named(pair: Pair) -> None:
     one, _ = pair
     for handle, name in (
         (one.subscribe("*/x"), "subscriber"),
-        (one.watch("wombat-2", "x"), "watch"),
+        (one.watch("wombat-2/x"), "watcher"),
         (one.events(), "subscription to events"),
         (one.receive_transfers("*/x"), "transfer receiver"),
     ):

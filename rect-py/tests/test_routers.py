@@ -102,7 +102,7 @@ def test_stream_from_rust_to_python(routers: Routers, tmp_path: Path) -> None:
     file.write_bytes(picture._repr_png_())
     with (
         routers.connect("wombat-1") as robot,
-        robot.watch("wombat-2", "camera") as watch,
+        robot.watch("wombat-2/camera") as watch,
         routers.tool("wombat-2", "stream", "send", "camera", str(file)),
     ):
         frame = watch.next(DEADLINE)
@@ -118,7 +118,7 @@ def test_stream_from_python_to_rust(routers: Routers) -> None:
     with (
         routers.connect("wombat-1") as robot,
         robot.stream("camera") as camera,
-        routers.tool("wombat-2", "stream", "watch", "wombat-1", "camera") as tool,
+        routers.tool("wombat-2", "stream", "watch", "wombat-1/camera") as tool,
     ):
 
         def send_frames() -> None:

@@ -19,7 +19,7 @@ from conftest import DEADLINE
 Pair = tuple[rect.Robot, rect.Robot]
 
 
-def send_until(watch: rect.Watch, send: Callable[[], object], accept: Callable[[rect.Frame], bool]) -> rect.Frame:
+def send_until(watch: rect.Watcher, send: Callable[[], object], accept: Callable[[rect.Frame], bool]) -> rect.Frame:
     """Sends frames, as a camera does, until one arrives that `accept` accepts, and returns it."""
     stop = threading.Event()
 
@@ -42,7 +42,7 @@ def send_until(watch: rect.Watch, send: Callable[[], object], accept: Callable[[
 def test_pictures_arrive_with_number_and_age(pair: Pair) -> None:
     one, two = pair
     picture = numpy.full((48, 64, 3), 90, numpy.uint8)
-    with one.stream("camera") as camera, two.watch("wombat-1", "camera") as watch:
+    with one.stream("camera") as camera, two.watch("wombat-1/camera") as watch:
         frame = send_until(watch, lambda: camera.send(picture), lambda frame: frame.number > 3)
         assert isinstance(frame.value, rect.Picture)
         assert abs(int(numpy.asarray(frame.value)[0, 0, 0]) - 90) < 8
@@ -64,7 +64,7 @@ def moving(number: int) -> numpy.ndarray:
 def test_video_arrives_as_pictures(pair: Pair) -> None:
     one, two = pair
     numbers = itertools.count()
-    with one.stream("camera", mode="video") as camera, two.watch("wombat-1", "camera") as watch:
+    with one.stream("camera", mode="video") as camera, two.watch("wombat-1/camera") as watch:
         frame = send_until(watch, lambda: camera.send(moving(next(numbers))), lambda frame: frame.number > 3)
         picture = numpy.asarray(frame.value)
         assert picture.shape == (120, 160, 3)
@@ -83,7 +83,7 @@ def test_ffmpeg_decodes_video(pair: Pair) -> None:
         return len(frames) == 20
 
     with one.stream("camera", mode="video") as camera:
-        watch = two.watch("wombat-1", "camera", decode=False, capacity=100)
+        watch = two.watch("wombat-1/camera", decode=False, capacity=100)
         send_until(watch, lambda: camera.send(moving(next(numbers))), is_enough)
     assert {frame.payload.encoding for frame in frames} == {"video/h264"}
     decoder = av.CodecContext.create("h264", "r")
@@ -106,7 +106,7 @@ def test_nothing_is_encoded_without_receivers(pair: Pair) -> None:
 
 def test_send_with_uses_encoder_of_program(pair: Pair) -> None:
     one, two = pair
-    with one.stream("camera") as camera, two.watch("wombat-1", "camera") as watch:
+    with one.stream("camera") as camera, two.watch("wombat-1/camera") as watch:
         encode: Callable[[Any, Any], str] = lambda quality, scale: f"{quality} {scale}"  # noqa: E731
         frame = send_until(watch, lambda: camera.send_with(3_000_000, encode), lambda frame: True)
         quality, scale = frame.value.split()
@@ -118,7 +118,7 @@ def test_codec_compresses_each_frame(pair: Pair) -> None:
     one, two = pair
     with (
         one.stream("camera", codec="jpeg:50", max_frames_per_s=100) as camera,
-        two.watch("wombat-1", "camera") as watch,
+        two.watch("wombat-1/camera") as watch,
     ):
         picture = numpy.zeros((48, 64), numpy.uint8)
         frame = send_until(watch, lambda: camera.send(picture), lambda frame: True)
@@ -135,7 +135,10 @@ def test_callback_receives_all_values_of_sensor(pair: Pair) -> None:
         if len(values) == 20:
             enough.set()
 
-    with one.stream("distance", mode="sensor") as distance, two.watch("wombat-1", "distance", on_frame, capacity=100):
+    with (
+        one.stream("distance", mode="sensor") as distance,
+        two.watch("wombat-1/distance", callback=on_frame, capacity=100),
+    ):
         number = 0
         while not enough.wait(0.001):
             number += distance.send(number)
@@ -144,7 +147,7 @@ def test_callback_receives_all_values_of_sensor(pair: Pair) -> None:
 
 def test_unread_frames_are_counted_as_skipped(pair: Pair) -> None:
     one, two = pair
-    with one.stream("count", mode="sensor") as count, two.watch("wombat-1", "count") as watch:
+    with one.stream("count", mode="sensor") as count, two.watch("wombat-1/count") as watch:
         number = 0
 
         def send() -> None:
@@ -162,7 +165,7 @@ def test_unread_frames_are_counted_as_skipped(pair: Pair) -> None:
 def test_frames_of_stock_program_have_no_age(pair: Pair) -> None:
     one, two = pair
     publisher = one.zenoh.declare_publisher("rect/wombat-1/plain")
-    with two.watch("wombat-1", "plain") as watch:
+    with two.watch("wombat-1/plain") as watch:
         frame = send_until(watch, lambda: publisher.put(b"7", encoding="application/json"), lambda frame: True)
         assert (frame.value, frame.age) == (7, None)
 

@@ -10,7 +10,6 @@ use super::{
 };
 
 const SERVER: &str = "server";
-const TIMEOUT: Duration = Duration::from_secs(10);
 
 pub struct Rect {
     robot: Robot,
@@ -83,7 +82,7 @@ impl Peer for Rect {
     }
 
     async fn request(&mut self, payload: Bytes) -> Outcome<Bytes> {
-        let asked = self.robot.request(SERVER, "service", payload, TIMEOUT);
+        let asked = self.robot.request(SERVER, "service", payload);
         Ok(asked.await?.payload.bytes)
     }
 }

@@ -18,9 +18,9 @@ use foxglove::{
     websocket::{Capability, Parameter},
     Context, FoxgloveError, WebSocketServer, WebSocketServerHandle,
 };
-use rect::{Pattern, Robot};
+use rect::{Pattern, Robot, RobotTopic};
 use rect_core::registry::topics::{Topics, KEPT};
-use rect_dashboard::topics::{query, robot_topic, RobotTopic};
+use rect_dashboard::topics::query;
 use tokio::{
     sync::{mpsc, watch},
     task::JoinSet,
@@ -69,7 +69,7 @@ pub struct FoxgloveArguments {
     #[arg(long)]
     publish: bool,
     /// Let viewers send requests to this service; can be repeated
-    #[arg(long = "service", value_name = "ROBOT/TOPIC", value_parser = robot_topic)]
+    #[arg(long = "service", value_name = "ROBOT/TOPIC")]
     services: Vec<RobotTopic>,
     #[command(flatten)]
     join: JoinArguments,

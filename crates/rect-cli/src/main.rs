@@ -46,7 +46,7 @@ Examples on a robot with a router (`sudo rect init wombat-1 --start` configures 
   rect pub arm/angle 12.5                  # publishes to every robot
   rect sub '*/arm/*'                       # prints the messages of all robots on these topics
   rect send wombat-2 grab '{\"force\": 3}'   # sends to one robot only
-  rect stream watch wombat-2 camera        # receives a stream of pictures
+  rect stream watch wombat-2/camera        # receives a stream of pictures
   rect transfer send wombat-2 map.bin      # sends a file of any size
   rect record                              # records this robot's messages; `rect replay` plays them
   rect connect base tcp 10.0.0.2 --port 7447  # adds a named connection

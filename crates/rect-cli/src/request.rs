@@ -67,7 +67,8 @@ pub async fn request(arguments: RequestArguments) -> Done {
     }
     let recipient = name(&arguments.robot)?;
     let reply = robot
-        .request(&recipient, &arguments.topic, payload, timeout)
+        .with_timeout(timeout)
+        .request(&recipient, &arguments.topic, payload)
         .await?;
     show(&reply, arguments.json)?;
     Ok(ExitCode::SUCCESS)
@@ -80,7 +81,8 @@ async fn request_all(
     timeout: Duration,
 ) -> Done {
     let mut replies = robot
-        .request_all(&arguments.topic, payload, timeout)
+        .with_timeout(timeout)
+        .request_all(&arguments.topic, payload)
         .await?;
     let mut answers = 0;
     while let Some(reply) = replies.next().await {

@@ -7,18 +7,16 @@ use std::{
 };
 
 use clap::{Args, Subcommand};
-use rect::{Encoding, Frame, Name, Payload, QueueOptions, StreamOptions, Topic, Watch, WhenFull};
+use rect::{
+    Encoding, Frame, Payload, QueueOptions, RobotTopic, StreamOptions, Topic, Watcher, WhenFull,
+};
 use rect_core::codec::{jpeg::Jpeg, picture::Picture, Codec, Limits};
 use rect_recording::video_file::VideoFile;
 use rect_terminal as terminal;
 use serde_json::{json, Value};
 use tokio::time::{interval, MissedTickBehavior};
 
-use crate::{
-    display,
-    session::{name, JoinArguments},
-    Done, Failure,
-};
+use crate::{display, session::JoinArguments, Done, Failure};
 
 /// The quality of the pictures of a video that are written to a file.
 const QUALITY: u8 = 85;
@@ -39,11 +37,9 @@ pub struct StreamArguments {
 enum StreamCommand {
     /// Print the frames of a robot's stream, until Ctrl-C
     Watch {
-        /// The robot
-        #[arg(value_parser = name)]
-        robot: Name,
-        /// The topic of the stream, such as camera
-        topic: Topic,
+        /// The robot and the topic of the stream, such as wombat-2/camera
+        #[arg(value_name = "ROBOT/TOPIC")]
+        stream: RobotTopic,
         /// Write the newest frame to this file; one of a video as JPEG
         #[arg(long, value_name = "FILE")]
         output: Option<PathBuf>,
@@ -81,8 +77,7 @@ enum StreamCommand {
 pub async fn run(arguments: StreamArguments) -> Done {
     match arguments.command {
         StreamCommand::Watch {
-            robot: sender,
-            topic,
+            stream,
             output,
             save,
             count,
@@ -93,10 +88,10 @@ pub async fn run(arguments: StreamArguments) -> Done {
             let robot = join.join().await?;
             let watch = match &video {
                 Some(_) => {
-                    let watch = robot.watch_with(&sender, &topic, EVERY_FRAME).await?;
+                    let watch = robot.watch_with(&stream, EVERY_FRAME).await?;
                     watch.undecoded()
                 }
-                None => robot.watch(&sender, &topic).await?,
+                None => robot.watch(&stream).await?,
             };
             let began = Instant::now();
             let mut left = count.unwrap_or(u64::MAX);
@@ -186,7 +181,7 @@ fn as_json(frame: &Frame) -> Value {
 }
 
 /// Waits for the next frame. Returns `None` after Ctrl-C, or if the session is closed.
-async fn next_or_stop(watch: &Watch) -> Result<Option<Frame>, Failure> {
+async fn next_or_stop(watch: &Watcher) -> Result<Option<Frame>, Failure> {
     tokio::select! {
         frame = watch.next() => Ok(frame),
         stopped = tokio::signal::ctrl_c() => Ok(stopped.map(|()| None)?),

@@ -3,7 +3,7 @@ use std::{process::ExitCode, time::SystemTime};
 
 use clap::Args;
 use rect::{Message, Name, Pattern, Robot};
-use rect_core::text::display::line;
+use rect_core::{clock::unix::ms_since_1970, text::display::line};
 use rect_terminal::clock::time_of_day;
 use rect_terminal::{self as terminal, paint, Style};
 use serde_json::json;
@@ -118,7 +118,7 @@ fn as_json(message: &Message) -> serde_json::Value {
         "value": display::json(&message.payload),
         "bytes": message.payload.bytes.len(),
         "urgency": message.urgency,
-        "sent_ms": message.sent_ms,
+        "sent_ms": message.sent_at.map(ms_since_1970),
         "sequence": message.sequence,
         "missed": message.missed,
         "late": message.late,

@@ -33,10 +33,7 @@ use self::{
 };
 use crate::{
     duration::DurationArgument,
-    measure::{
-        partner::{Partner, TIMEOUT},
-        round_trip,
-    },
+    measure::{partner::Partner, round_trip},
     session::{name, JoinArguments},
     Done, Failure,
 };
@@ -162,7 +159,7 @@ struct Surveyor<'a> {
 impl Surveyor<'_> {
     async fn run(&self, arguments: &SurveyArguments) -> Result<Survey, Failure> {
         let own = tokio::task::spawn_blocking(|| Computer::describe(Path::new("/"))).await?;
-        let reply = self.robot.request(self.other, COMPUTER, "", TIMEOUT).await;
+        let reply = self.robot.request(self.other, COMPUTER, "").await;
         let theirs = reply.map_err(|error| {
             format!("{error}. Run `rect survey --serve` on {} first", self.other)
         })?;

@@ -3,12 +3,12 @@
 use std::{process::ExitCode, time::Duration};
 
 use clap::{Args, Subcommand};
-use rect::{Name, Robot};
+use rect::{Name, Robot, RobotTopic};
 use rect_core::{
     registry::topics::{TopicReport, Topics, KEPT, WINDOW},
     text::{display::line, humanize::bytes},
 };
-use rect_dashboard::topics::{query, robot_topic, RobotTopic};
+use rect_dashboard::topics::query;
 use rect_terminal::{self as terminal, Cell, Style, Table};
 use serde_json::json;
 
@@ -45,7 +45,6 @@ enum TopicCommand {
     /// Print the rate of a topic once per second, until Ctrl-C
     Hz {
         /// The topic, <robot>/<topic>: wombat-2/arm/angle
-        #[arg(value_parser = robot_topic)]
         topic: RobotTopic,
         /// Exit after this number of lines
         #[arg(long)]
@@ -59,7 +58,6 @@ enum TopicCommand {
     /// Show all information about a topic
     Info {
         /// The topic, <robot>/<topic>: wombat-2/arm/angle
-        #[arg(value_parser = robot_topic)]
         topic: RobotTopic,
         #[command(flatten)]
         measured: MeasuredArguments,
@@ -115,7 +113,7 @@ pub async fn run(arguments: TopicArguments) -> Done {
             let answers = measure(
                 &robot,
                 Some(&topic.robot),
-                Some(&topic.topic),
+                Some(topic.topic.as_str()),
                 measured.duration,
             )
             .await?;
@@ -138,7 +136,7 @@ pub async fn run(arguments: TopicArguments) -> Done {
 
 fn not_published(topic: &RobotTopic) -> Failure {
     let RobotTopic { robot, topic } = topic;
-    let topic = line(topic);
+    let topic = line(topic.as_str());
     format!("{robot} published no message on {topic} while its messages were counted; count for longer with --duration 5s, or list its topics with `rect topic list {robot}`")
         .into()
 }
@@ -194,13 +192,13 @@ async fn hz(
     json: bool,
 ) -> Result<(), Failure> {
     // The first query starts the count.
-    query(robot, Some(&topic.robot), Some(&topic.topic), KEPT).await?;
+    query(robot, Some(&topic.robot), Some(topic.topic.as_str()), KEPT).await?;
     let mut ticks = tokio::time::interval(EVERY);
     ticks.tick().await;
     tokio::time::sleep(COUNTED.saturating_sub(EVERY)).await;
     for _ in 0..count.unwrap_or(u64::MAX) {
         ticks.tick().await;
-        let answers = query(robot, Some(&topic.robot), Some(&topic.topic), KEPT).await?;
+        let answers = query(robot, Some(&topic.robot), Some(topic.topic.as_str()), KEPT).await?;
         let topics = answers.into_iter().next().map(|(_, topics)| topics);
         let topics = topics.unwrap_or_default();
         let report = topics.topics.first().cloned().unwrap_or_default();
@@ -231,7 +229,7 @@ fn rate(report: &TopicReport, window_s: f64) -> String {
 
 fn info(topic: &RobotTopic, topics: &Topics, report: &TopicReport) {
     let RobotTopic { robot, topic } = topic;
-    rect_terminal::outln!("topic:    {robot}/{}", line(topic));
+    rect_terminal::outln!("topic:    {robot}/{}", line(topic.as_str()));
     rect_terminal::outln!("rate:     {}", rate(report, topics.window_s));
     rect_terminal::outln!("encoding: {}", line(&report.encoding));
     rect_terminal::outln!("last:     {}", bytes(report.last_bytes));

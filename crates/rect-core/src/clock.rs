@@ -1,5 +1,6 @@
 //! Counts milliseconds: the time that messages and frames carry, and from which their age is derived.
 pub mod fastest;
+pub mod unix;
 
 use std::time::Instant;
 

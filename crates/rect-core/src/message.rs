@@ -11,7 +11,7 @@ pub mod request;
 pub mod sequence;
 pub mod urgency;
 
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use zenoh_keyexpr::keyexpr;
 
@@ -41,9 +41,9 @@ pub struct Message {
     pub payload: Payload,
     /// The urgency with which the message was sent.
     pub urgency: Urgency,
-    /// The time of sending by the sender's clock, in milliseconds since 1970. `None` if the sender does not use RECT.
-    /// The clock of a robot without a real-time clock may be years off.
-    pub sent_ms: Option<u64>,
+    /// The time of sending by the sender's clock, to the millisecond. `None` if the sender does not use RECT. The clock of a
+    /// robot without a real-time clock may be years off.
+    pub sent_at: Option<SystemTime>,
     /// The sequence number of the message at its publisher. `None` if the sender does not use RECT.
     pub sequence: Option<u32>,
     /// A random number that identifies the publisher: two programs of a robot may publish the same topic. `None` if the sender
@@ -53,7 +53,7 @@ pub struct Message {
     pub missed: u32,
     /// Whether a message that was published later arrived before this one.
     pub late: bool,
-    /// Whether the message repeats one of a recording. [`sent_ms`](Self::sent_ms) is the time of that one.
+    /// Whether the message repeats one of a recording. [`sent_at`](Self::sent_at) is the time of that one.
     pub replayed: bool,
     /// When the message expires, on this computer's clock. `None`: it never does. A program that is busy for long may look again
     /// before it acts on the message.
@@ -75,7 +75,7 @@ impl Message {
             topic,
             payload,
             urgency: Urgency::default(),
-            sent_ms: None,
+            sent_at: None,
             sequence: None,
             publisher: None,
             missed: 0,
@@ -170,11 +170,8 @@ impl Inbound {
                 message.sequence = Some(attachment.sequence);
                 message.publisher = Some(attachment.source);
                 (message.missed, message.late) = (arrival.missed, arrival.late);
-                (message.sent_ms, message.replayed) = match attachment.sent {
-                    Sent::At(at_ms) => (Some(at_ms), false),
-                    Sent::Replayed(at_ms) => (Some(at_ms), true),
-                    Sent::Low(_) | Sent::Unknown => (None, false),
-                };
+                message.sent_at = attachment.sent.at();
+                message.replayed = matches!(attachment.sent, Sent::Replayed(_));
                 if let Some((now, lifetime)) = lifetime {
                     let rest = lifetime.checked_sub(arrival.age);
                     let rest = rest.filter(|rest| !rest.is_zero());
@@ -238,6 +235,8 @@ impl Inbound {
 
 #[cfg(test)]
 mod tests {
+    use std::time::UNIX_EPOCH;
+
     use super::*;
     use crate::{message::encoding::Encoding, name::topic::Pattern};
 
@@ -281,7 +280,10 @@ mod tests {
         let first = first.expect("a message");
         assert_eq!((first.sender.as_str(), first.topic.as_str()), ("a", "x/y"));
         assert_eq!((first.sequence, first.missed), (Some(3), 0));
-        assert_eq!(first.sent_ms, Some(1_795_000_000_000));
+        assert_eq!(
+            first.sent_at,
+            Some(UNIX_EPOCH + Duration::from_millis(1_795_000_000_000))
+        );
         assert!(!first.replayed);
         let next = inbound.on_delivery(delivered("rect/a/x/y", Some(&attachment(6))), Instant::now);
         assert_eq!(next.expect("a message").missed, 2);
@@ -299,7 +301,10 @@ mod tests {
         let delivered = delivered("rect/a/x", Some(&attachment));
         let message = inbound().on_delivery(delivered, Instant::now);
         let message = message.expect("a message");
-        assert_eq!((message.sent_ms, message.replayed), (Some(5000), true));
+        assert_eq!(
+            (message.sent_at, message.replayed),
+            (Some(UNIX_EPOCH + Duration::from_millis(5000)), true)
+        );
     }
 
     #[test]
@@ -376,7 +381,7 @@ mod tests {
             let message =
                 inbound.on_delivery(delivered("rect/a/to/wombat-1/x", attachment), Instant::now);
             let message = message.expect("a message");
-            assert_eq!((message.sequence, message.sent_ms), (None, None));
+            assert_eq!((message.sequence, message.sent_at), (None, None));
             assert_eq!(message.recipient.expect("to me"), "wombat-1");
         }
         let counts: Vec<_> = inbound.counts_by_sender().collect();

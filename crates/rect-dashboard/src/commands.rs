@@ -131,7 +131,8 @@ async fn request(app: &App, robot: &str, topic: &str, value: String) -> Answer {
     let topic = Topic::new(topic).map_err(text)?;
     let reply = app
         .robot
-        .request(name, topic, payload::typed(value), TIMEOUT)
+        .with_timeout(TIMEOUT)
+        .request(name, topic, payload::typed(value))
         .await
         .map_err(text)?;
     Ok(json!({"reply": view::value(&reply.payload), "ms": milliseconds(started)}))

@@ -2,23 +2,23 @@
 use std::{
     collections::HashMap,
     sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak},
-    time::Duration,
+    time::{Duration, SystemTime},
 };
 
 use axum::body::Bytes;
 use rect::{
-    Encoding, Frame, Message, Pattern, Payload, QueueOptions, Robot, Topic, Urgency, Watch,
+    Encoding, Frame, Message, Pattern, Payload, QueueOptions, Robot, RobotTopic, Urgency, Watcher,
     WhenFull,
 };
 use rect_core::{
+    clock::unix::{ms_since_1970, since_1970},
     codec::{jpeg::Jpeg, Codec},
     video::bitstream,
 };
-use rect_recording::{entry::since_1970, picture::Kind, view};
+use rect_recording::{picture::Kind, view};
 use tokio::{sync::broadcast, task::JoinSet};
 
 use crate::protocol::{self, DataHeader};
-use crate::topics::{robot_topic, RobotTopic};
 
 /// The number of values that wait for the slowest browser's task.
 const CAPACITY: usize = 64;
@@ -50,7 +50,7 @@ pub struct Feeds {
 pub struct Feed {
     values: broadcast::Sender<Arc<Value>>,
     last: Mutex<Option<Arc<Value>>>,
-    stream: OnceLock<Arc<Watch>>,
+    stream: OnceLock<Arc<Watcher>>,
     /// The task that receives it.
     receiving: Mutex<JoinSet<()>>,
 }
@@ -96,7 +96,7 @@ impl Feeds {
             stream: OnceLock::new(),
             receiving: Mutex::default(),
         });
-        let topic = robot_topic(&key.topic)?;
+        let topic = RobotTopic::new(&key.topic).map_err(|error| error.to_string())?;
         let started = feed.start(&self.robot, &topic, &key).await;
         started.map_err(|error| error.to_string())?;
         let mut open = self.lock();
@@ -125,14 +125,10 @@ impl Feed {
     async fn start(
         self: &Arc<Self>,
         robot: &Robot,
-        RobotTopic {
-            robot: sender,
-            topic,
-        }: &RobotTopic,
+        topic: &RobotTopic,
         key: &FeedKey,
     ) -> Result<(), rect::Error> {
         let feed = Arc::downgrade(self);
-        let topic = Topic::new(topic)?;
         let mut receiving = JoinSet::new();
         let queue = QueueOptions {
             capacity: CAPACITY,
@@ -140,8 +136,8 @@ impl Feed {
         };
         if key.stream {
             let watch = match key.video {
-                true => robot.watch_with(sender, topic, queue).await?.undecoded(),
-                false => robot.watch(sender, topic).await?,
+                true => robot.watch_with(topic, queue).await?.undecoded(),
+                false => robot.watch(topic).await?,
             };
             let watch = Arc::new(watch);
             // Set once, here.
@@ -153,7 +149,7 @@ impl Feed {
                 }
             });
         } else {
-            let pattern = Pattern::of(Some(sender.clone()), topic.as_str())?;
+            let pattern = Pattern::of(Some(topic.robot.clone()), topic.topic.as_str())?;
             let subscriber = robot.subscribe_with(pattern, queue).await?;
             receiving.spawn(async move {
                 while let Some(message) = subscriber.next().await {
@@ -194,7 +190,7 @@ impl Value {
         let value = Self::of(message.payload);
         let problem = message.problem.map(|problem| problem.to_string());
         Self {
-            sent_ms: message.sent_ms,
+            sent_ms: message.sent_at.map(ms_since_1970),
             missed: message.missed,
             urgent: message.urgency == Urgency::Urgent,
             replayed: message.replayed,
@@ -238,7 +234,7 @@ impl Value {
         };
         Self {
             form,
-            at: since_1970(),
+            at: since_1970(SystemTime::now()),
             sent_ms: None,
             age_ms: None,
             number: None,

@@ -3,9 +3,12 @@
 //! The page sends [`Command`]s as JSON in text messages. It receives binary messages, whose first byte is their kind: [`STATE`]
 //! is followed by a [`State`] in JSON, and [`DATA`] by the length of a [`DataHeader`] (32 bits, little endian), the header in
 //! JSON, and the value: JSON, or the bytes of a picture or of a frame of a video.
+use std::time::SystemTime;
+
 use axum::body::Bytes;
 use rect::Connection;
-use rect_recording::{entry::since_1970, report::EventReport};
+use rect_core::clock::unix::ms_since_1970;
+use rect_recording::report::EventReport;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
@@ -403,5 +406,5 @@ pub fn data(header: &DataHeader<'_>, value: &[u8]) -> Bytes {
 
 /// Returns the time by this computer's clock, in milliseconds since 1970.
 pub fn now_ms() -> u64 {
-    u64::try_from(since_1970().as_millis()).unwrap_or(u64::MAX)
+    ms_since_1970(SystemTime::now())
 }

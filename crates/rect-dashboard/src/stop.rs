@@ -187,8 +187,8 @@ impl Stop {
     }
 
     async fn receive_all(self: &Arc<Self>, number: u64) -> Result<(), Error> {
-        let urgent = self.robot.urgent();
-        let mut replies = urgent.request_all(self.service.clone(), "", WITHIN).await?;
+        let urgent = self.robot.urgent().with_timeout(WITHIN);
+        let mut replies = urgent.request_all(self.service.clone(), "").await?;
         let mut by_name = pin!(sleep(ASKED_BY_NAME_AFTER));
         let mut is_asked_by_name = false;
         for _ in 0..MAX_REPLIES {
@@ -231,8 +231,8 @@ impl Stop {
         let (stop, number) = (self.clone(), run.number);
         run.tasks.spawn(async move {
             while stop.is_asking(number, &robot) {
-                let urgent = stop.robot.urgent();
-                let asked = urgent.request(robot.clone(), stop.service.clone(), "", WITHIN);
+                let urgent = stop.robot.urgent().with_timeout(WITHIN);
+                let asked = urgent.request(robot.clone(), stop.service.clone(), "");
                 let answer = match asked.await {
                     Ok(_) => return stop.on_confirmed(number, robot),
                     Err(Error::NoService { .. }) => {

@@ -9,30 +9,6 @@ use crate::Failure;
 /// Timeout of a query, chosen for a slow link with several robots.
 const TIMEOUT: Duration = Duration::from_secs(5);
 
-/// A topic of one robot.
-#[derive(Clone, Debug)]
-pub struct RobotTopic {
-    /// The robot.
-    pub robot: Name,
-    /// The topic.
-    pub topic: String,
-}
-
-/// Parses the topic of a robot on the command line.
-pub fn robot_topic(text: &str) -> Result<RobotTopic, String> {
-    let parts = text.split_once('/').filter(|(_, topic)| !topic.is_empty());
-    let (robot, topic) = parts.ok_or("write <robot>/<topic>, such as wombat-2/arm/angle")?;
-    if topic.contains(['*', '?', '#', ';', '$']) {
-        return Err(
-            "wildcards are not allowed here; `rect topic list` lists all topics".to_owned(),
-        );
-    }
-    Ok(RobotTopic {
-        robot: Name::new(robot).map_err(|error| error.to_string())?,
-        topic: topic.to_owned(),
-    })
-}
-
 /// Queries the routers, which continue to count for the time `keep`, and returns their replies, ordered by the robot's name.
 pub async fn query(
     robot: &Robot,

@@ -1,10 +1,8 @@
 //! Defines [`Entry`], one recorded message.
-use std::{
-    sync::Arc,
-    time::{Duration, SystemTime, UNIX_EPOCH},
-};
+use std::{sync::Arc, time::Duration};
 
 use rect_core::{
+    clock::unix::since_1970,
     message::{encoding::Encoding, payload::Payload, urgency::Urgency, Message},
     name::{key::OWN, topic::Topic, Name},
 };
@@ -46,7 +44,7 @@ impl Entry {
             sequence: message.sequence.unwrap_or(0),
             publisher: message.publisher,
             logged,
-            sent: message.sent_ms.map_or(logged, Duration::from_millis),
+            sent: message.sent_at.map_or(logged, since_1970),
             foreign: None,
         }
     }
@@ -87,10 +85,4 @@ impl Entry {
 pub fn address(topic: &str) -> Option<(Name, Topic)> {
     let (robot, topic) = topic.trim_start_matches('/').split_once('/')?;
     Some((Name::new(robot).ok()?, Topic::new(topic).ok()?))
-}
-
-/// Returns the time since 1970, by this computer's clock.
-pub fn since_1970() -> Duration {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH);
-    since.unwrap_or_default()
 }

@@ -4,14 +4,14 @@ use std::{
     path::PathBuf,
     sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError},
     thread::JoinHandle,
-    time::{Duration, Instant},
+    time::{Duration, Instant, SystemTime},
 };
 
-use rect_core::{message::Message, name::Name};
+use rect_core::{clock::unix::since_1970, message::Message, name::Name};
 
 use crate::{
     backlog::Backlog,
-    entry::{since_1970, Entry},
+    entry::Entry,
     file::About,
     parts::{PartPaths, Parts, Split},
     recorder_error::RecorderError,
@@ -133,7 +133,7 @@ impl Recorder {
         });
         let clock = Clock {
             started: Instant::now(),
-            since_1970: since_1970(),
+            since_1970: since_1970(SystemTime::now()),
         };
         let writing = shared.clone();
         let thread = std::thread::Builder::new().name("recorder".to_owned());

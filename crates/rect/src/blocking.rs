@@ -10,7 +10,7 @@
 //! for message in robot.subscribe("wombat-2/**")? {
 //!     println!("{}: {:?}", message.sender, message.payload);
 //! }
-//! let reply = robot.request("wombat-2", "battery", "", Duration::from_secs(1))?;
+//! let reply = robot.request("wombat-2", "battery", "")?;
 //! # Ok::<(), rect::Error>(())
 //! ```
 mod publisher;
@@ -26,7 +26,7 @@ use std::{sync::Arc, time::Duration};
 #[cfg(feature = "recording")]
 pub use self::recorder::RobotRecorder;
 pub use self::{
-    publisher::Publisher, runtime::Runtime, stream::Frames, subscription::Subscription,
+    publisher::Publisher, runtime::Runtime, stream::Watcher, subscription::Subscription,
     transfer::Transfers,
 };
 use crate::{
@@ -49,7 +49,7 @@ pub struct Robot {
 ///
 /// The iterator blocks until the next message, and ends when the session is closed. Dropping it ends the subscription.
 #[derive(Debug)]
-pub struct Messages {
+pub struct Subscriber {
     subscriber: session::Subscriber,
     runtime: Arc<Runtime>,
 }
@@ -120,6 +120,15 @@ impl Robot {
     pub fn with_urgency(&self, urgency: Urgency) -> Self {
         Self {
             robot: self.robot.with_urgency(urgency),
+            runtime: self.runtime.clone(),
+        }
+    }
+
+    /// Returns a handle whose requests wait for replies for that time; see [`crate::Robot::with_timeout`].
+    #[must_use]
+    pub fn with_timeout(&self, timeout: Duration) -> Self {
+        Self {
+            robot: self.robot.with_timeout(timeout),
             runtime: self.runtime.clone(),
         }
     }
@@ -200,7 +209,7 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::subscribe`].
-    pub fn subscribe<P: TryInto<Pattern>>(&self, pattern: P) -> Result<Messages, Error>
+    pub fn subscribe<P: TryInto<Pattern>>(&self, pattern: P) -> Result<Subscriber, Error>
     where
         Error: From<P::Error>,
     {
@@ -215,12 +224,12 @@ impl Robot {
         &self,
         pattern: P,
         queue: QueueOptions,
-    ) -> Result<Messages, Error>
+    ) -> Result<Subscriber, Error>
     where
         Error: From<P::Error>,
     {
         let subscribed = self.robot.subscribe_with(pattern, queue);
-        Ok(Messages {
+        Ok(Subscriber {
             subscriber: self.runtime.wait(subscribed)?,
             runtime: self.runtime.clone(),
         })
@@ -313,25 +322,24 @@ impl Robot {
             .wait(self.robot.wait_until_established(timeout))
     }
 
-    /// Blocks until the next message of `robot` on `topic`, at most for `timeout`. Messages that were sent before the
-    /// call are not received.
+    /// Blocks until the next message that matches `pattern`, at most for `timeout`. Messages that were sent before the call are
+    /// not received.
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::wait_for_message`].
-    pub fn wait_for_message<N: TryInto<Name>>(
+    pub fn wait_for_message<P: TryInto<Pattern>>(
         &self,
-        robot: N,
-        topic: &str,
+        pattern: P,
         timeout: Duration,
     ) -> Result<Message, Error>
     where
-        Error: From<N::Error>,
+        Error: From<P::Error>,
     {
         self.runtime
-            .wait(self.robot.wait_for_message(robot, topic, timeout))
+            .wait(self.robot.wait_for_message(pattern, timeout))
     }
 
-    /// Sends a request to the service `topic` of `robot`, and blocks until its first reply, at most for `timeout`.
+    /// Sends a request to the service `topic` of `robot`, and blocks until its first reply.
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::request`].
@@ -340,17 +348,16 @@ impl Robot {
         robot: N,
         topic: T,
         value: impl ToPayload,
-        timeout: Duration,
     ) -> Result<Reply, Error>
     where
         Error: From<N::Error> + From<T::Error>,
     {
-        let asked = self.robot.request(robot, topic, value, timeout);
+        let asked = self.robot.request(robot, topic, value);
         self.runtime.wait(asked)
     }
 
     /// Sends a request to the service `topic` of all robots that provide it. Replies arrive until all services have replied
-    /// or `timeout` has expired.
+    /// or the time is up ([`with_timeout`](Self::with_timeout)).
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::request_all`].
@@ -358,12 +365,11 @@ impl Robot {
         &self,
         topic: T,
         value: impl ToPayload,
-        timeout: Duration,
     ) -> Result<Replies, Error>
     where
         Error: From<T::Error>,
     {
-        let asked = self.robot.request_all(topic, value, timeout);
+        let asked = self.robot.request_all(topic, value);
         Ok(Replies {
             replies: self.runtime.wait(asked)?,
             runtime: self.runtime.clone(),
@@ -463,7 +469,7 @@ impl Robot {
     }
 }
 
-impl Messages {
+impl Subscriber {
     /// Blocks until the next message; returns `None` if none arrives within `timeout`, or if the session is closed.
     ///
     /// If the timeout expires while the dictionary of a message is fetched, the next call returns that message.
@@ -478,7 +484,7 @@ impl Messages {
     }
 }
 
-impl Iterator for Messages {
+impl Iterator for Subscriber {
     type Item = Message;
 
     fn next(&mut self) -> Option<Message> {

@@ -22,7 +22,7 @@ use zenoh::session::SessionClosedError;
 /// ```no_run
 /// # use std::time::Duration;
 /// # async fn ask(robot: rect::Robot) -> Result<(), rect::Error> {
-/// match robot.request("wombat-2", "battery", "", Duration::from_secs(1)).await {
+/// match robot.request("wombat-2", "battery", "").await {
 ///     Ok(reply) => println!("{:?}", reply.payload),
 ///     Err(rect::Error::NoService { available, .. }) => println!("reachable robots: {available}"),
 ///     Err(error) => return Err(error),

@@ -42,7 +42,7 @@ pub use rect_core::{
         Message,
     },
     name::{
-        topic::{Pattern, Topic, TopicError},
+        topic::{Pattern, RobotTopic, Topic, TopicError},
         Name, NameError,
     },
     registry::{

@@ -39,7 +39,7 @@ pub use recording::{RecordOptions, RobotRecorder};
 pub use request::{Replies, Reply};
 pub use robot::Robot;
 pub use service::{Request, Requests, Service};
-pub use stream::{Frame, Stream, Watch};
+pub use stream::{Frame, StreamSender, Watcher};
 pub(crate) use subscriber::call;
 pub use subscriber::{QueueOptions, Subscriber, Subscription};
 pub use threads::use_one_thread;

@@ -72,7 +72,7 @@ public:
 
     /// @cond
     static expected<Array> read(const rect_payload& payload, Limits limits) {
-        const rect_limits raw_limits{limits.max_bytes, limits.max_pixels};
+        const auto raw_limits = detail::raw(limits);
         rect_array array;
         rect_error error;
         const auto code = rect_array_read(&payload, &raw_limits, &array, &error);

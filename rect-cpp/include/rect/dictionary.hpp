@@ -62,8 +62,9 @@ public:
 /// Fails with Code::codec if the payload is damaged, exceeds the limits, or needs another dictionary.
 [[nodiscard]] inline expected<Buffer> decode(const PayloadView& payload, const Dictionary* dictionary = nullptr,
                                              Limits limits = {}) {
-    const rect_limits raw_limits{limits.max_bytes, limits.max_pixels};
-    const rect_dictionary raw_dictionary{dictionary == nullptr ? 0 : dictionary->handle_id()};
+    const auto raw_limits = detail::raw(limits);
+    rect_dictionary raw_dictionary{};
+    raw_dictionary.id = dictionary == nullptr ? 0 : dictionary->handle_id();
     rect_buffer buffer;
     rect_error error;
     const auto code =

@@ -49,7 +49,10 @@ struct QueueOptions {
 namespace detail {
 
 inline rect_queue_options raw(const QueueOptions& queue) noexcept {
-    return {queue.capacity, static_cast<std::uint32_t>(queue.when_full)};
+    rect_queue_options raw{};
+    raw.capacity = queue.capacity;
+    raw.when_full = static_cast<std::uint32_t>(queue.when_full);
+    return raw;
 }
 
 }  // namespace detail
@@ -75,11 +78,11 @@ public:
     [[nodiscard]] Urgency urgency() const noexcept { return static_cast<Urgency>(raw_.urgency); }
     /// Returns the time of sending by the sender's clock, or nothing if the sender is a stock Zenoh program. The clock of a
     /// robot without a real-time clock may be wrong by years.
-    [[nodiscard]] std::optional<std::chrono::system_clock::time_point> sent() const noexcept {
-        if (raw_.sent_ms < 0) {
+    [[nodiscard]] std::optional<std::chrono::system_clock::time_point> sent_at() const noexcept {
+        if (raw_.sent_at_ms < 0) {
             return std::nullopt;
         }
-        return std::chrono::system_clock::time_point(std::chrono::milliseconds(raw_.sent_ms));
+        return std::chrono::system_clock::time_point(std::chrono::milliseconds(raw_.sent_at_ms));
     }
     /// Returns the sequence number that its publisher gave it, or nothing if the sender is a stock Zenoh program.
     [[nodiscard]] std::optional<std::uint32_t> sequence() const noexcept {
@@ -96,7 +99,7 @@ public:
     }
     /// Returns whether the message arrived after one with a higher sequence number of the same publisher.
     [[nodiscard]] bool late() const noexcept { return raw_.late; }
-    /// Returns whether the message repeats one of a recording. sent() is the time of that one.
+    /// Returns whether the message repeats one of a recording. sent_at() is the time of that one.
     [[nodiscard]] bool replayed() const noexcept { return raw_.replayed; }
     /// Returns the reason why the payload could not be decoded and is as it arrived: it is damaged, or its codec or
     /// dictionary is not available. Empty if the payload is complete.
@@ -109,20 +112,14 @@ private:
     rect_message raw_;
 };
 
-/// A message that the program owns, as Robot::wait_for_message and Subscriber::next return it. `->` accesses the
-/// MessageView.
-class Message {
+/// A message that the program owns, as Robot::wait_for_message and Subscriber::next return it.
+class Message : public MessageView {
 public:
     /// Takes ownership of a message of rect.h.
-    explicit Message(const rect_message& raw) noexcept : handle_(raw.id), view_(raw) {}
-    /// Returns the message, which is valid as long as this object.
-    [[nodiscard]] const MessageView& operator*() const noexcept { return view_; }
-    /// Returns the message, which is valid as long as this object.
-    [[nodiscard]] const MessageView* operator->() const noexcept { return &view_; }
+    explicit Message(const rect_message& raw) noexcept : MessageView(raw), handle_(raw.id) {}
 
 private:
     Handle handle_;
-    MessageView view_;
 };
 
 /// How many messages of one robot a Subscriber has received and missed.
@@ -137,7 +134,7 @@ struct SenderCounts {
 ///
 ///     const auto angles = rect::must(robot.subscribe("wombat-2/arm/angle"));
 ///     while (const auto message = angles.next()) {
-///         std::cout << (*message)->sender() << ": " << (*message)->payload.text().value_or("?") << std::endl;
+///         std::cout << message->sender() << ": " << message->payload.text().value_or("?") << std::endl;
 ///     }
 class Subscriber : public Handle {
 public:
@@ -177,7 +174,7 @@ public:
     }
 };
 
-/// A subscription, watch or event listener that calls a function for each item, one after another, on a thread of its own.
+/// The registration of a callback for messages, frames or events. It calls a function for each item, one after another, on a thread of its own.
 /// Destroying it ends the calls and waits for a call in progress. A function may end its own subscription. If two functions
 /// end each other's subscriptions at the same time, both wait forever.
 class Subscription : public Handle {

@@ -31,6 +31,19 @@ struct Limits {
     std::size_t max_pixels = 0;
 };
 
+/// @cond
+namespace detail {
+
+inline rect_limits raw(const Limits& limits) noexcept {
+    rect_limits raw{};
+    raw.max_bytes = limits.max_bytes;
+    raw.max_pixels = limits.max_pixels;
+    return raw;
+}
+
+}  // namespace detail
+/// @endcond
+
 /// An uncompressed picture: rows of pixels without padding, from the top left. It either refers to pixels of the program or
 /// owns those that PayloadView::picture has decoded.
 ///
@@ -53,7 +66,7 @@ public:
 
     /// @cond
     static expected<Picture> read(const rect_payload& payload, Limits limits) {
-        const rect_limits raw_limits{limits.max_bytes, limits.max_pixels};
+        const auto raw_limits = detail::raw(limits);
         rect_picture picture;
         rect_error error;
         const auto code = rect_picture_read(&payload, &raw_limits, &picture, &error);

@@ -143,13 +143,12 @@ public:
         });
     }
 
-    /// Waits for the next message that `sender` publishes on `topic`, or sends to this robot. Earlier messages are not
-    /// returned. Fails with Code::timed_out if there is none within `timeout`.
-    [[nodiscard]] expected<Message> wait_for_message(const Text& sender, const Text& topic, Milliseconds timeout) const {
+    /// Waits for the next message that matches `pattern`, published or sent to this robot. Earlier messages are not returned.
+    /// Fails with Code::timed_out if there is none within `timeout`.
+    [[nodiscard]] expected<Message> wait_for_message(const Text& pattern, Milliseconds timeout) const {
         rect_message message;
         rect_error error;
-        const auto code =
-            rect_robot_wait_for_message(raw(), sender.c_str(), topic.c_str(), detail::ms(timeout), &message, &error);
+        const auto code = rect_robot_wait_for_message(raw(), pattern.c_str(), detail::ms(timeout), &message, &error);
         return detail::value_or_error<Message>(code, error, [&] { return Message(message); });
     }
 
@@ -182,7 +181,8 @@ public:
     /// Fails with Code::service if the service replies with an error, with Code::no_service if the robot does not offer the
     /// service or is not reachable, and with Code::timed_out if there is no reply within `timeout`.
     template <class T>
-    [[nodiscard]] expected<Reply> request(const Text& recipient, const Text& topic, const T& value, Milliseconds timeout) const {
+    [[nodiscard]] expected<Reply> request(const Text& recipient, const Text& topic, const T& value,
+                                          Milliseconds timeout = default_timeout) const {
         rect_reply reply;
         const auto requested = detail::with_payload(value, [&](const rect_payload& payload) {
             rect_error error;
@@ -196,7 +196,7 @@ public:
     /// Sends a request to the service `topic` of every robot that offers it. The replies arrive until all robots have
     /// replied or `timeout` has passed.
     template <class T>
-    [[nodiscard]] expected<Replies> request_all(const Text& topic, const T& value, Milliseconds timeout) const {
+    [[nodiscard]] expected<Replies> request_all(const Text& topic, const T& value, Milliseconds timeout = default_timeout) const {
         rect_replies replies{};
         const auto requested = detail::with_payload(value, [&](const rect_payload& payload) {
             rect_error error;
@@ -225,46 +225,48 @@ public:
 
     /// Creates a stream of which only the newest frame matters: a slow link drops older ones. Fails with Code::topic if the
     /// topic is invalid, and with Code::option if an option is out of range.
-    [[nodiscard]] expected<Stream> stream(const Text& topic, StreamOptions options = {}) const {
-        const rect_stream_options raw_options{static_cast<std::uint32_t>(options.mode), options.webp,
-                                              options.max_frames_per_s, options.min_frames_per_s,
-                                              options.max_bytes_per_s,  detail::ms(options.feedback_interval)};
-        rect_stream stream;
+    [[nodiscard]] expected<StreamSender> stream(const Text& topic, StreamOptions options = {}) const {
+        rect_stream_options raw_options{};
+        raw_options.mode = static_cast<std::uint32_t>(options.mode);
+        raw_options.webp = options.webp;
+        raw_options.max_frames_per_s = options.max_frames_per_s;
+        raw_options.min_frames_per_s = options.min_frames_per_s;
+        raw_options.max_bytes_per_s = options.max_bytes_per_s;
+        raw_options.feedback_interval_ms = detail::ms(options.feedback_interval);
+        rect_stream_sender stream;
         rect_error error;
         const auto code = rect_robot_stream(raw(), topic.c_str(), &raw_options, &stream, &error);
-        return detail::value_or_error<Stream>(code, error, [&] { return Stream(stream.id); });
+        return detail::value_or_error<StreamSender>(code, error, [&] { return StreamSender(stream.id); });
     }
 
-    /// Watches the stream `topic` of the robot `sender`. By default only the newest frame waits for the program. Fails with
-    /// Code::name or Code::topic if the sender or the topic is invalid.
-    [[nodiscard]] expected<Watch> watch(const Text& sender, const Text& topic, QueueOptions queue = {}) const {
+    /// Receives a stream, `<robot>/<topic>`. By default only the newest frame waits for the program. Fails with Code::topic if the
+    /// robot or topic is invalid.
+    [[nodiscard]] expected<Watcher> watch(const Text& stream, QueueOptions queue = {}) const {
         const auto raw_queue = detail::raw(queue);
-        rect_watch watch;
+        rect_watcher watcher;
         rect_error error;
-        const auto code = rect_robot_watch(raw(), sender.c_str(), topic.c_str(), &raw_queue, &watch, &error);
-        return detail::value_or_error<Watch>(code, error, [&] { return Watch(watch.id); });
+        const auto code = rect_robot_watch(raw(), stream.c_str(), &raw_queue, &watcher, &error);
+        return detail::value_or_error<Watcher>(code, error, [&] { return Watcher(watcher.id); });
     }
 
     /// Does what `watch` does, but leaves video undecoded: the payloads are the frames as they were sent, from a key frame on,
     /// with the encoding `video/h264`. A program that saves or forwards them needs them all, and so a larger `queue`.
-    [[nodiscard]] expected<Watch> watch_undecoded(const Text& sender, const Text& topic, QueueOptions queue = {}) const {
+    [[nodiscard]] expected<Watcher> watch_undecoded(const Text& stream, QueueOptions queue = {}) const {
         const auto raw_queue = detail::raw(queue);
-        rect_watch watch;
+        rect_watcher watcher;
         rect_error error;
-        const auto code =
-            rect_robot_watch_undecoded(raw(), sender.c_str(), topic.c_str(), &raw_queue, &watch, &error);
-        return detail::value_or_error<Watch>(code, error, [&] { return Watch(watch.id); });
+        const auto code = rect_robot_watch_undecoded(raw(), stream.c_str(), &raw_queue, &watcher, &error);
+        return detail::value_or_error<Watcher>(code, error, [&] { return Watcher(watcher.id); });
     }
 
     /// Calls `function(const rect::FrameView&)` for each frame of a stream, like `subscribe` does for messages. Frames that
     /// arrive during a call wait or are dropped as `queue` specifies; by default only the newest one is kept.
     template <class F, class = std::enable_if_t<std::is_invocable_v<std::decay_t<F>&, const FrameView&>>>
-    [[nodiscard]] expected<Subscription> watch(const Text& sender, const Text& topic, F&& function,
-                                               QueueOptions queue = {}) const {
+    [[nodiscard]] expected<Subscription> watch(const Text& stream, F&& function, QueueOptions queue = {}) const {
         const auto raw_queue = detail::raw(queue);
         return with_callback(std::forward<F>(function), [&](auto& callback, rect_subscription* subscription, rect_error* error) {
             using C = std::decay_t<decltype(callback)>;
-            return rect_robot_on_frame(raw(), sender.c_str(), topic.c_str(), &raw_queue, C::template call<rect_frame, FrameView>,
+            return rect_robot_on_frame(raw(), stream.c_str(), &raw_queue, C::template call<rect_frame, FrameView>,
                                        callback.context(), C::release, subscription, error);
         });
     }
@@ -305,8 +307,12 @@ public:
         using C = detail::Callback<std::decay_t<F>>;
         rect_transfer transfer{};
         const auto start = [&](const char* file, const rect_payload& payload) {
-            const rect_transfer_options raw_options{file, payload, detail::or_null(options.name),
-                                                    detail::or_null(options.encoding), detail::ms(options.timeout)};
+            rect_transfer_options raw_options{};
+            raw_options.file = file;
+            raw_options.payload = payload;
+            raw_options.name = detail::or_null(options.name);
+            raw_options.encoding = detail::or_null(options.encoding);
+            raw_options.timeout_ms = detail::ms(options.timeout);
             const C callback(std::forward<F>(function));
             rect_error error;
             const auto code = rect_robot_begin_transfer(raw(), recipient.c_str(), topic.c_str(), &raw_options,
@@ -330,8 +336,11 @@ public:
     /// Fails with Code::topic or Code::name if the pattern is invalid, with Code::argument if `options.max_bytes` is 0, and
     /// with Code::file if the folder cannot be used.
     [[nodiscard]] expected<Transfers> receive_transfers(const Text& pattern, const ReceiveOptions& options) const {
-        const rect_receive_options raw_options{detail::or_null(options.folder), options.max_bytes, options.max_concurrent,
-                                               detail::ms(options.timeout)};
+        rect_receive_options raw_options{};
+        raw_options.folder = detail::or_null(options.folder);
+        raw_options.max_bytes = options.max_bytes;
+        raw_options.max_concurrent = options.max_concurrent;
+        raw_options.timeout_ms = detail::ms(options.timeout);
         rect_transfers transfers;
         rect_error error;
         const auto code = rect_robot_receive_transfers(raw(), pattern.c_str(), &raw_options, &transfers, &error);
@@ -405,8 +414,13 @@ public:
     /// after a restart. `target` is the robot whose router is changed; empty means this robot. The access control of another
     /// robot's router must permit the change. Fails with Code::service if the router rejects the connection.
     expected<void> add_connection(const NamedConnection& connection, const std::string& target = {}) const {
-        const rect_named_connection raw_connection{connection.name.c_str(), connection.method.c_str(), connection.address.c_str(),
-                                        connection.port,         connection.psm,            detail::or_null(connection.options)};
+        rect_named_connection raw_connection{};
+        raw_connection.name = connection.name.c_str();
+        raw_connection.method = connection.method.c_str();
+        raw_connection.address = connection.address.c_str();
+        raw_connection.port = connection.port;
+        raw_connection.psm = connection.psm;
+        raw_connection.options = detail::or_null(connection.options);
         rect_error error;
         return detail::ok_or_error(rect_robot_add_connection(raw(), detail::or_null(target), &raw_connection, &error), error);
     }

@@ -36,7 +36,7 @@ private:
 
 /// The replies to one request, in the order of arrival. Destroying it cancels the request.
 ///
-///     const auto replies = rect::must(robot.request_all("battery", "", std::chrono::seconds(2)));
+///     const auto replies = rect::must(robot.request_all("battery", ""));
 ///     while (const auto reply = replies.next()) {
 ///         std::cout << reply->sender() << std::endl;
 ///     }
@@ -103,7 +103,10 @@ inline std::string refusal_text(const Refusal& refusal) { return refusal.what();
 inline std::string refusal_text(std::string_view text) { return std::string(text); }
 
 inline void refuse(std::uint64_t request, std::string_view text) {
-    const rect_payload payload{text.data(), text.size(), raw("text/plain")};
+    rect_payload payload{};
+    payload.data = text.data();
+    payload.len = text.size();
+    payload.encoding = raw("text/plain");
     rect_error error;
     if (rect_request_refuse(request, &payload, &error) != RECT_CODE_OK) {
         report(error.text);

@@ -66,7 +66,7 @@ private:
 ///
 ///     const auto camera = rect::must(robot.stream("camera"));
 ///     rect::must(camera.send(rect::Picture(320, 240, rect::Format::rgb8, pixels)));
-class Stream : public Handle {
+class StreamSender : public Handle {
 public:
     using Handle::Handle;
 
@@ -77,7 +77,7 @@ public:
         std::uint32_t sent = 0;
         const auto done = detail::with_payload(frame, [&](const rect_payload& payload) {
             rect_error error;
-            return detail::ok_or_error(rect_stream_send({handle_id()}, &payload, &sent, &error), error);
+            return detail::ok_or_error(rect_stream_sender_send({handle_id()}, &payload, &sent, &error), error);
         });
         return done ? expected<std::uint32_t>(sent) : unexpected<Error>(done.error());
     }
@@ -89,7 +89,7 @@ public:
         std::uint32_t sent = 0;
         rect_error error;
         const auto pixels = picture.pixels();
-        const auto code = rect_stream_send_picture({handle_id()}, picture.width(), picture.height(),
+        const auto code = rect_stream_sender_send_picture({handle_id()}, picture.width(), picture.height(),
                                                    static_cast<std::uint32_t>(picture.format()), pixels.data(),
                                                    pixels.size(), &sent, &error);
         return detail::value_or_error<std::uint32_t>(code, error, [&] { return sent; });
@@ -100,7 +100,7 @@ public:
     [[nodiscard]] expected<std::string> status() const {
         rect_string status;
         rect_error error;
-        const auto code = rect_stream_status({handle_id()}, &status, &error);
+        const auto code = rect_stream_sender_status({handle_id()}, &status, &error);
         return detail::value_or_error<std::string>(code, error, [&] {
             const Handle handle(status.id);
             return std::string(detail::view(status.text));
@@ -140,37 +140,32 @@ private:
     rect_frame raw_;
 };
 
-/// A frame that the program owns, as Watch::next returns it. `->` accesses the FrameView.
-class Frame {
+/// A frame that the program owns, as Watcher::next returns it.
+class Frame : public FrameView {
 public:
     /// Takes ownership of a frame of rect.h.
-    explicit Frame(const rect_frame& raw) noexcept : handle_(raw.id), view_(raw) {}
-    /// Returns the frame, which is valid as long as this object.
-    [[nodiscard]] const FrameView& operator*() const noexcept { return view_; }
-    /// Returns the frame, which is valid as long as this object.
-    [[nodiscard]] const FrameView* operator->() const noexcept { return &view_; }
+    explicit Frame(const rect_frame& raw) noexcept : FrameView(raw), handle_(raw.id) {}
 
 private:
     Handle handle_;
-    FrameView view_;
 };
 
-/// A stream that this program watches. Destroying it ends the watch.
+/// A stream that this program receives. Destroying it ends that.
 ///
-///     const auto camera = rect::must(robot.watch("wombat-2", "camera"));
+///     const auto camera = rect::must(robot.watch("wombat-2/camera"));
 ///     while (const auto frame = camera.next()) {
-///         const auto picture = rect::must((*frame)->payload.picture());
+///         const auto picture = rect::must(frame->payload.picture());
 ///     }
-class Watch : public Handle {
+class Watcher : public Handle {
 public:
     using Handle::Handle;
 
     /// Waits for the next frame. Fails with Code::timed_out if none arrives within `timeout`, and with Code::closed if the
-    /// session was closed or another thread dropped this watch.
+    /// session was closed or another thread dropped this watcher.
     [[nodiscard]] expected<Frame> next(std::chrono::milliseconds timeout = forever) const {
         rect_frame frame;
         rect_error error;
-        const auto code = rect_watch_next({handle_id()}, detail::ms(timeout), &frame, &error);
+        const auto code = rect_watcher_next({handle_id()}, detail::ms(timeout), &frame, &error);
         return detail::value_or_error<Frame>(code, error, [&] { return Frame(frame); });
     }
 
@@ -178,7 +173,7 @@ public:
     /// and has dropped frames.
     [[nodiscard]] expected<void> ask_for_key_frame() const {
         rect_error error;
-        return detail::ok_or_error(rect_watch_ask_for_key_frame({handle_id()}, &error), error);
+        return detail::ok_or_error(rect_watcher_ask_for_key_frame({handle_id()}, &error), error);
     }
 
     /// Returns the round trip of a small message to the sender, or nothing until the first one has been measured.
@@ -186,7 +181,7 @@ public:
         using RoundTrip = std::optional<std::chrono::microseconds>;
         std::int64_t round_trip_us = -1;
         rect_error error;
-        const auto code = rect_watch_round_trip({handle_id()}, &round_trip_us, &error);
+        const auto code = rect_watcher_round_trip({handle_id()}, &round_trip_us, &error);
         return detail::value_or_error<RoundTrip>(code, error, [&] {
             return round_trip_us < 0 ? RoundTrip() : RoundTrip(std::chrono::microseconds(round_trip_us));
         });

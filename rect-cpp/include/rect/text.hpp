@@ -75,6 +75,9 @@ inline std::uint32_t ms(std::chrono::milliseconds time) noexcept {
 /// A timeout that never expires.
 inline constexpr std::chrono::milliseconds forever = std::chrono::milliseconds::max();
 
+/// The timeout of a request for which the program states none.
+inline constexpr std::chrono::milliseconds default_timeout = std::chrono::seconds(10);
+
 }  // namespace RECT_ABI
 }  // namespace rect
 

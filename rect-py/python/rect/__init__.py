@@ -21,6 +21,7 @@ from rect.errors import (
     InvalidNameError,
     InvalidTopicError,
     LoginRefused,
+    MismatchError,
     NoRouter,
     NoService,
     OptionError,
@@ -44,7 +45,7 @@ from rect.registry import Connection, Connections, LinkLane, LinkPath, Peer
 from rect.request import Replies, Reply
 from rect.robot import Robot, connect
 from rect.service import Refusal, Request, Service
-from rect.stream import Frame, Stream, Watch
+from rect.stream import Frame, StreamSender, Watcher
 from rect.subscriber import SenderCounts, Subscriber, Subscription
 from rect.transfer import OutgoingTransfer, Progress, Received, Transfers
 from rect.values import Cbor, Payload, Picture
@@ -72,6 +73,7 @@ __all__ = [
     "LoginRefused",
     "LossyFormat",
     "Message",
+    "MismatchError",
     "NoRouter",
     "NoService",
     "OptionError",
@@ -99,8 +101,8 @@ __all__ = [
     "SenderCounts",
     "Service",
     "ServiceError",
-    "Stream",
     "StreamMode",
+    "StreamSender",
     "Subscriber",
     "Subscription",
     "ThreadError",
@@ -110,7 +112,7 @@ __all__ = [
     "TransferRefused",
     "Transfers",
     "Urgency",
-    "Watch",
+    "Watcher",
     "WhenFull",
     "WrongRobot",
     "ZenohError",

@@ -7,7 +7,7 @@
 
 A robot belongs to the event loop in which it was connected. Callbacks and handlers may be plain functions or
 `async def`; they run in that loop. The classes of the same names in `rect` document parameters, defaults and errors.
-`Robot.outgoing_transfer`, `Robot.record` and `Stream.send_with` exist only there.
+`Robot.outgoing_transfer`, `Robot.record` and `StreamSender.send_with` exist only there.
 """
 
 from __future__ import annotations
@@ -36,20 +36,20 @@ from rect.registry import Connections
 from rect.request import Replies as BlockingReplies
 from rect.request import Reply
 from rect.robot import DEFAULT_TIMEOUT, CodecLike
-from rect.service import Request, Requests
+from rect.service import Request, Requests, request_converter
 from rect.stream import Frame
-from rect.stream import Stream as BlockingStream
-from rect.stream import Watch as BlockingWatch
+from rect.stream import StreamSender as BlockingStreamSender
+from rect.stream import Watcher as BlockingWatcher
 from rect.subscriber import SenderCounts, callable_or_none, undecoded
 from rect.subscriber import Subscriber as BlockingSubscriber
 from rect.transfer import Progress, Received
 from rect.transfer import Transfers as BlockingTransfers
+from rect.typed import T
 from rect.values import codec_of, payload_of
 
-T = TypeVar("T")
 H = TypeVar("H", bound="_Handle")
 _LOG = logging.getLogger("rect")
-Handler = Callable[[Request], Any]
+Handler = Callable[[Request[Any]], Any]
 
 
 def connect(
@@ -150,52 +150,106 @@ class Robot:
     def subscribe(
         self,
         pattern: str,
-        callback: None = None,
+        type: type[T],
         *,
+        callback: None = None,
         capacity: int = DEFAULT_CAPACITY,
         when_full: WhenFull = "drop_oldest",
-    ) -> Subscriber: ...
+    ) -> Subscriber[T]: ...
     @overload
     def subscribe(
         self,
         pattern: str,
-        callback: Callable[[Message], object],
+        type: type[T],
         *,
+        callback: Callable[[Message[T]], object],
         capacity: int = DEFAULT_CAPACITY,
         when_full: WhenFull = "drop_oldest",
-    ) -> Subscription[Message]: ...
+    ) -> Subscription[Message[T]]: ...
+    @overload
     def subscribe(
         self,
         pattern: str,
-        callback: Callable[[Message], object] | None = None,
+        type: Any = None,
         *,
+        callback: None = None,
         capacity: int = DEFAULT_CAPACITY,
         when_full: WhenFull = "drop_oldest",
-    ) -> Subscriber | Subscription[Message]:
+    ) -> Subscriber[Any]: ...
+    @overload
+    def subscribe(
+        self,
+        pattern: str,
+        type: Any = None,
+        *,
+        callback: Callable[[Message[Any]], object],
+        capacity: int = DEFAULT_CAPACITY,
+        when_full: WhenFull = "drop_oldest",
+    ) -> Subscription[Message[Any]]: ...
+    def subscribe(
+        self,
+        pattern: str,
+        type: Any = None,
+        *,
+        callback: Callable[[Message[Any]], object] | None = None,
+        capacity: int = DEFAULT_CAPACITY,
+        when_full: WhenFull = "drop_oldest",
+    ) -> Subscriber[Any] | Subscription[Message[Any]]:
         """Subscribes to a pattern, for `async for` or a callback; see `rect.Robot.subscribe`."""
         callable_or_none(callback)
-        subscriber = Subscriber(self._robot.subscribe(pattern, capacity=capacity, when_full=when_full))
+        subscriber = Subscriber(self._robot.subscribe(pattern, type, capacity=capacity, when_full=when_full))
         return subscriber if callback is None else Subscription(self, subscriber, callback, pattern)
 
-    async def wait_for_message(self, robot: str, topic: str, timeout: float | None = None) -> Message:
-        """Waits for the next message of `robot` on `topic`; see `rect.Robot.wait_for_message`."""
+    @overload
+    async def wait_for_message(self, pattern: str, type: type[T], *, timeout: float | None = None) -> Message[T]: ...
+    @overload
+    async def wait_for_message(
+        self, pattern: str, type: Any = None, *, timeout: float | None = None
+    ) -> Message[Any]: ...
+    async def wait_for_message(self, pattern: str, type: Any = None, *, timeout: float | None = None) -> Message[Any]:
+        """Waits for the next message that matches the pattern; see `rect.Robot.wait_for_message`."""
         if timeout is not None:
             seconds("timeout", timeout)
-        with self.subscribe(_rect.pattern_of(text("robot", robot), text("topic", topic))) as subscriber:
+        with self.subscribe(pattern, type) as subscriber:
             return await subscriber.next(timeout)
 
+    @overload
     async def request(
         self,
         robot: str,
         topic: str,
         value: Any = "",
         *,
+        returns: type[T],
         timeout: float = DEFAULT_TIMEOUT,
         urgency: Urgency = "normal",
         codec: CodecLike = None,
-    ) -> Reply:
+    ) -> Reply[T]: ...
+    @overload
+    async def request(
+        self,
+        robot: str,
+        topic: str,
+        value: Any = "",
+        *,
+        returns: Any = None,
+        timeout: float = DEFAULT_TIMEOUT,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+    ) -> Reply[Any]: ...
+    async def request(
+        self,
+        robot: str,
+        topic: str,
+        value: Any = "",
+        *,
+        returns: Any = None,
+        timeout: float = DEFAULT_TIMEOUT,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+    ) -> Reply[Any]:
         """Sends a request to a service of `robot`, and returns its first reply; see `rect.Robot.request`."""
-        replies = self._robot._request(text("robot", robot), topic, value, timeout, urgency, codec)
+        replies = self._robot._request(text("robot", robot), topic, value, returns, timeout, urgency, codec)
         try:
             reply = await replies.next_async()
         finally:
@@ -204,17 +258,40 @@ class Robot:
             raise NoService(robot, topic, await self.peers())
         return reply
 
+    @overload
     def request_all(
         self,
         topic: str,
         value: Any = "",
         *,
+        returns: type[T],
         timeout: float = DEFAULT_TIMEOUT,
         urgency: Urgency = "normal",
         codec: CodecLike = None,
-    ) -> Replies:
+    ) -> Replies[T]: ...
+    @overload
+    def request_all(
+        self,
+        topic: str,
+        value: Any = "",
+        *,
+        returns: Any = None,
+        timeout: float = DEFAULT_TIMEOUT,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+    ) -> Replies[Any]: ...
+    def request_all(
+        self,
+        topic: str,
+        value: Any = "",
+        *,
+        returns: Any = None,
+        timeout: float = DEFAULT_TIMEOUT,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+    ) -> Replies[Any]:
         """Sends a request to the services of all robots, for `async for`; see `rect.Robot.request_all`."""
-        return Replies(self._robot._request(None, topic, value, timeout, urgency, codec))
+        return Replies(self._robot._request(None, topic, value, returns, timeout, urgency, codec))
 
     @overload
     def serve(self, topic: str) -> Callable[[Handler], Service]: ...
@@ -230,47 +307,44 @@ class Robot:
             raise TypeError(f"handler must be a function, not {type(handler).__name__}")
         return Service(self, topic, handler)
 
-    def stream(self, topic: str, **options: Any) -> Stream:
+    def stream(self, topic: str, **options: Any) -> StreamSender:
         """Opens a stream for sending frames; see `rect.Robot.stream`."""
-        return Stream(self._robot.stream(topic, **options))
+        return StreamSender(self._robot.stream(topic, **options))
 
     @overload
     def watch(
         self,
-        robot: str,
-        topic: str,
-        callback: None = None,
+        stream: str,
         *,
+        callback: None = None,
         capacity: int = 1,
         when_full: WhenFull = "drop_oldest",
         decode: bool = True,
-    ) -> Watch: ...
+    ) -> Watcher: ...
     @overload
     def watch(
         self,
-        robot: str,
-        topic: str,
-        callback: Callable[[Frame], object],
+        stream: str,
         *,
+        callback: Callable[[Frame], object],
         capacity: int = 1,
         when_full: WhenFull = "drop_oldest",
         decode: bool = True,
     ) -> Subscription[Frame]: ...
     def watch(
         self,
-        robot: str,
-        topic: str,
-        callback: Callable[[Frame], object] | None = None,
+        stream: str,
         *,
+        callback: Callable[[Frame], object] | None = None,
         capacity: int = 1,
         when_full: WhenFull = "drop_oldest",
         decode: bool = True,
-    ) -> Watch | Subscription[Frame]:
-        """Receives the stream of `robot` on `topic`, for `async for` or a callback; see `rect.Robot.watch`."""
+    ) -> Watcher | Subscription[Frame]:
+        """Receives a stream, for `async for` or a callback; see `rect.Robot.watch`."""
         callable_or_none(callback)
-        received = self._robot.watch(robot, topic, capacity=capacity, when_full=when_full, decode=decode)
-        watch = Watch(received)
-        return watch if callback is None else Subscription(self, watch, callback, f"{robot}/{topic}")
+        received = self._robot.watch(stream, capacity=capacity, when_full=when_full, decode=decode)
+        watcher = Watcher(received)
+        return watcher if callback is None else Subscription(self, watcher, callback, stream)
 
     async def transfer(
         self,
@@ -302,16 +376,37 @@ class Robot:
         """Shares a dictionary with all robots, and returns its codec; see `rect.Robot.share_dictionary`."""
         return self._robot.share_dictionary(dictionary)
 
+    @overload
     def publisher(
         self,
         topic: str,
+        type: type[T],
         *,
         urgency: Urgency = "normal",
         codec: CodecLike = None,
         expires_after: float | None = None,
-    ) -> Publisher:
+    ) -> Publisher[T]: ...
+    @overload
+    def publisher(
+        self,
+        topic: str,
+        type: Any = None,
+        *,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+        expires_after: float | None = None,
+    ) -> Publisher[Any]: ...
+    def publisher(
+        self,
+        topic: str,
+        type: Any = None,
+        *,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+        expires_after: float | None = None,
+    ) -> Publisher[Any]:
         """Returns a publisher of `topic`, which can wait for a subscriber; see `rect.Robot.publisher`."""
-        publisher = self._robot.publisher(topic, urgency=urgency, codec=codec, expires_after=expires_after)
+        publisher = self._robot.publisher(topic, type, urgency=urgency, codec=codec, expires_after=expires_after)
         return Publisher(publisher)
 
     async def wait_for_peer(self, robot: str, timeout: float) -> None:
@@ -418,10 +513,10 @@ class _Handle:
         self.close()
 
 
-class Publisher(_Handle):
+class Publisher(_Handle, Generic[T]):
     """Publishes on one topic, and reports whether there are subscribers; see `rect.Publisher`."""
 
-    def __init__(self, publisher: BlockingPublisher) -> None:
+    def __init__(self, publisher: BlockingPublisher[T]) -> None:
         super().__init__(publisher)
         self._publisher = publisher
 
@@ -435,7 +530,7 @@ class Publisher(_Handle):
         """Whether at least one subscriber of another program receives the messages."""
         return self._publisher.has_subscribers
 
-    async def publish(self, value: Any) -> None:
+    async def publish(self, value: T) -> None:
         """Publishes `value` to every subscriber; see `rect.Publisher.publish`."""
         await asyncio.to_thread(self._publisher.publish, value)
 
@@ -470,14 +565,14 @@ class _Source(_Handle, Generic[T]):
             raise StopAsyncIteration from None
 
 
-class Subscriber(_Source[Message]):
+class Subscriber(_Source[Message[T]], Generic[T]):
     """Receives the messages of a pattern, for `async for`; see `rect.Subscriber`."""
 
-    def __init__(self, subscriber: BlockingSubscriber) -> None:
+    def __init__(self, subscriber: BlockingSubscriber[T]) -> None:
         super().__init__(subscriber, f"message {subscriber._description}", self._take)
         self._subscriber = subscriber
 
-    async def next(self, timeout: float | None = None) -> Message:
+    async def next(self, timeout: float | None = None) -> Message[T]:
         """Waits for the next message and returns it; see `rect.Subscriber.next`."""
         return await self._next(timeout)
 
@@ -491,21 +586,21 @@ class Subscriber(_Source[Message]):
         """Numbers of received and missed messages, by sender."""
         return self._subscriber.counts_by_sender
 
-    def __enter__(self) -> Subscriber:
+    def __enter__(self) -> Subscriber[T]:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    async def _take(self, timeout: float | None) -> Message:
+    async def _take(self, timeout: float | None) -> Message[T]:
         deadline = Deadline(timeout)
         while True:
-            message = undecoded(await self._subscriber._queue.pop_async(deadline.remaining()))
+            message: Message[T] = undecoded(await self._subscriber._queue.pop_async(deadline.remaining()))
             if not message.is_expired and not (await self._decoded(message)).is_expired:
                 return message
             self._subscriber._session.counters.on_expired()
 
-    async def _decoded(self, message: Message) -> Message:
+    async def _decoded(self, message: Message[T]) -> Message[T]:
         decoder = self._subscriber._session.decoder
         try:
             message.payload = decoder.payload_now(message.sender, message.payload)
@@ -514,8 +609,8 @@ class Subscriber(_Source[Message]):
                 message.problem = error
             else:
                 # Fetching the dictionary blocks, so it happens on another thread.
-                await asyncio.to_thread(self._subscriber._decoded, message)
-        return message
+                return await asyncio.to_thread(self._subscriber._decoded, message)
+        return self._subscriber.fitted(message)
 
 
 class Events(_Source[Event]):
@@ -577,43 +672,43 @@ class Subscription(Generic[T]):
                 _LOG.exception("the callback for %s raised an exception", self._about)
 
 
-class Stream(_Handle):
-    """Sends the frames of a stream; see `rect.Stream`."""
+class StreamSender(_Handle):
+    """Sends the frames of a stream; see `rect.StreamSender`."""
 
-    def __init__(self, stream: BlockingStream) -> None:
+    def __init__(self, stream: BlockingStreamSender) -> None:
         super().__init__(stream)
         self._stream = stream
 
     async def send(self, frame: Any) -> int:
-        """Sends a frame if a receiver is due for one; see `rect.Stream.send`. Encodes pictures on another thread."""
+        """Sends a frame if a receiver is due for one; see `rect.StreamSender.send`. Another thread encodes pictures."""
         return await asyncio.to_thread(self._stream.send, frame)
 
     @property
     def status(self) -> dict[str, Any]:
-        """State of the stream; see `rect.Stream.status`."""
+        """State of the stream; see `rect.StreamSender.status`."""
         return self._stream.status
 
 
-class Watch(_Source[Frame]):
-    """Receives the frames of a stream, for `async for`; see `rect.Watch`."""
+class Watcher(_Source[Frame]):
+    """Receives the frames of a stream, for `async for`; see `rect.Watcher`."""
 
     counts_by_sender: Mapping[str, SenderCounts] = {}
 
-    def __init__(self, watch: BlockingWatch) -> None:
+    def __init__(self, watch: BlockingWatcher) -> None:
         super().__init__(watch, f"frame of {watch._name}", watch.next_async)
         self._watch = watch
 
     async def next(self, timeout: float | None = None) -> Frame:
-        """Waits for a frame that was not returned yet and returns it; see `rect.Watch.next`."""
+        """Waits for a frame that was not returned yet and returns it; see `rect.Watcher.next`."""
         return await self._next(timeout)
 
     def ask_for_key_frame(self) -> None:
-        """Asks the sender of a video for a key frame; see `rect.Watch.ask_for_key_frame`."""
+        """Asks the sender of a video for a key frame; see `rect.Watcher.ask_for_key_frame`."""
         self._watch.ask_for_key_frame()
 
     @property
     def dropped(self) -> int:
-        """Number of frames dropped because the receive queue was full; see `rect.Watch.dropped`."""
+        """Number of frames dropped because the receive queue was full; see `rect.Watcher.dropped`."""
         return self._watch.dropped
 
     @property
@@ -633,17 +728,17 @@ class Transfers(_Source[Received]):
         return await self._next(timeout)
 
 
-class Replies(_Handle):
+class Replies(_Handle, Generic[T]):
     """Iterates over the replies to one request, with `async for`; see `rect.Replies`."""
 
-    def __init__(self, replies: BlockingReplies) -> None:
+    def __init__(self, replies: BlockingReplies[T]) -> None:
         super().__init__(replies)
         self._replies = replies
 
-    def __aiter__(self) -> AsyncIterator[Reply]:
+    def __aiter__(self) -> AsyncIterator[Reply[T]]:
         return self
 
-    async def __anext__(self) -> Reply:
+    async def __anext__(self) -> Reply[T]:
         reply = await self._replies.next_async()
         if reply is None:
             raise StopAsyncIteration
@@ -657,7 +752,7 @@ class Service:
         self._topic = topic
         self._handler = handler
         self._robot = robot
-        self._requests = Requests(robot._session, topic)
+        self._requests = Requests(robot._session, topic, request_converter(handler))
         self._room = asyncio.Semaphore(_rect.MAX_CONCURRENT)
         self._task = robot.begin(self._run())
 
@@ -665,7 +760,7 @@ class Service:
         """Ends the service. Requests that are being handled are still answered."""
         self._requests.close()
 
-    def __call__(self, request: Request) -> Any:
+    def __call__(self, request: Request[Any]) -> Any:
         """Calls the handler, so that a function decorated by `@robot.serve` remains callable."""
         return self._handler(request)
 
@@ -681,7 +776,7 @@ class Service:
                 return
             self._robot.begin(self._answer(request))
 
-    async def _answer(self, request: Request) -> None:
+    async def _answer(self, request: Request[Any]) -> None:
         try:
             try:
                 result = self._handler(request)

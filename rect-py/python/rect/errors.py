@@ -31,7 +31,8 @@ class PayloadError(RectError, ValueError):
     def __init__(self, text: str, kind: str = "other") -> None:
         super().__init__(text)
         #: `write` (the value cannot be encoded), `read` (the bytes do not match the encoding), `encoding` (the encoding
-        #: is invalid), `other` (the payload has another type), or the kind of a `CodecError`.
+        #: is invalid), `other` (the payload has another type), `mismatch` for a `MismatchError`, or the kind of a
+        #: `CodecError`.
         self.kind = kind
 
 
@@ -45,6 +46,20 @@ class CodecError(PayloadError):
         super().__init__(text, kind)
         #: Id of the missing dictionary, if `kind` is `dictionary`; otherwise `None`.
         self.dictionary = dictionary
+
+
+class MismatchError(PayloadError):
+    """A value does not fit the type that the program has stated for it."""
+
+    def __init__(self, field: str, expected: str, found: str) -> None:
+        place = f"field {field}: " if field else ""
+        super().__init__(f"{place}expected {expected}, found {found}", "mismatch")
+        #: The path to the part of the value that does not fit, such as `cells[2].volt`. Empty: the value itself.
+        self.field = field
+        #: The description of the values that the type allows.
+        self.expected = expected
+        #: The description of the value in its place.
+        self.found = found
 
 
 class DictionaryError(RectError, ValueError):

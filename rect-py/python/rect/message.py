@@ -3,44 +3,71 @@
 from __future__ import annotations
 
 import html
-from typing import Any
+from datetime import datetime, timedelta, timezone
+from typing import Any, Generic
 
 from rect import _rect
 from rect.choices import Urgency
-from rect.errors import CodecError
+from rect.errors import PayloadError
+from rect.typed import Converter, T
 from rect.values import Payload
 
-_UNREAD: Any = object()
+#: In place of a value that nobody has asked for.
+UNREAD: Any = object()
+_1970 = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
-class Message:
-    """A message from another robot, or from another program of this robot."""
+def utc(seconds: float) -> datetime:
+    """Returns the time that is `seconds` after 1970. A time after the year 9999 becomes the last one of it."""
+    # `datetime.fromtimestamp` raises an error for such times, which a wrong clock of a robot may show.
+    try:
+        return _1970 + timedelta(seconds=seconds)
+    except OverflowError:
+        return datetime.max.replace(tzinfo=timezone.utc)
+
+
+class Message(Generic[T]):
+    """A message from another robot, or from another program of this robot.
+
+    `Message[Battery]` has a `value` of the type `Battery`.
+    """
 
     __slots__ = ("_metadata", "_value", "method", "payload", "problem")
 
     def __init__(self, metadata: _rect.MessageMetadata, payload: Payload, method: str | None = None) -> None:
         self._metadata = metadata
-        self._value = _UNREAD
+        self._value = UNREAD
         #: The payload: bytes with an encoding.
         self.payload = payload
         #: The method by which the message arrived, such as `ble`. `None` if it is unknown, or if the sender has links
         #: of several methods to this robot.
         self.method = method
-        #: Why `payload` could not be decoded and is still compressed: it is damaged, its codec is not supported, or the
-        #: sender did not send the dictionary. `None` if the payload was decoded.
-        self.problem: CodecError | None = None
+        #: Why there is no `value`. A `CodecError`: `payload` could not be decoded and is still compressed, since it is
+        #: damaged, its codec is not supported, or the sender did not send the dictionary. A `MismatchError`: the value
+        #: does not fit the type that the subscriber states. `None` if there is a value.
+        self.problem: PayloadError | None = None
 
     @property
-    def value(self) -> Any:
-        """The decoded payload: a dict, text, a numpy array, a `Picture` and so on, or bytes if the encoding is unknown.
+    def value(self) -> T:
+        """The decoded payload, as the type that the subscriber states.
+
+        By default a dict, text, a numpy array, a `Picture` and so on, or bytes if the encoding is unknown.
 
         Raises `PayloadError` if the bytes do not match the encoding, and `problem` if there is one.
         """
-        if self._value is _UNREAD:
+        if self._value is UNREAD:
             if self.problem is not None:
                 raise self.problem
             self._value = self.payload.value
-        return self._value
+        value: T = self._value
+        return value
+
+    def fit(self, converter: Converter[T]) -> None:
+        """Converts the value to the type that the subscriber states, or sets `problem`."""
+        try:
+            self._value = converter.convert(self.payload.value)
+        except PayloadError as problem:
+            self.problem = problem
 
     @property
     def sender(self) -> str:
@@ -68,13 +95,13 @@ class Message:
         return self._metadata.urgency
 
     @property
-    def sent_at(self) -> float | None:
-        """Time of sending by the sender's clock, in seconds since 1970. `None` if the sender does not use RECT.
+    def sent_at(self) -> datetime | None:
+        """Time of sending by the sender's clock, in UTC. `None` if the sender does not use RECT.
 
         The clock of a robot without a real-time clock may be years off.
         """
-        sent_ms = self._metadata.sent_ms
-        return None if sent_ms is None else sent_ms / 1000
+        sent_at_ms = self._metadata.sent_at_ms
+        return None if sent_at_ms is None else utc(sent_at_ms / 1000)
 
     @property
     def sequence(self) -> int | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic
 
 import zenoh
 
@@ -12,6 +12,7 @@ from rect._zenoh import direct, zenoh_error
 from rect.declared import Declared
 from rect.errors import TimedOut
 from rect.options import seconds
+from rect.typed import Converter, T
 from rect.values import payload_of
 from rect.waiting import next_wait
 
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from rect.session import Session
 
 
-class Publisher:
+class Publisher(Generic[T]):
     """Publishes on one topic, and reports whether subscribers receive the messages. Returned by `Robot.publisher`.
 
     `Robot.publish` needs no publisher. A publisher is for programs that wait until a subscriber is there, or that skip
@@ -28,9 +29,16 @@ class Publisher:
     """
 
     def __init__(
-        self, session: Session, topic: str, urgency: str, codec: _rect.Codec | None, lifetime: float | None
+        self,
+        session: Session,
+        topic: str,
+        converter: Converter[T] | None,
+        urgency: str,
+        codec: _rect.Codec | None,
+        lifetime: float | None,
     ) -> None:
         self._session = session
+        self._converter = converter
         self._topic = topic
         self._urgency = urgency
         self._codec = codec
@@ -60,12 +68,15 @@ class Publisher:
         """Whether at least one subscriber of another program receives the messages, on this or another robot."""
         return self._matching.is_set
 
-    def publish(self, value: Any) -> None:
+    def publish(self, value: T) -> None:
         """Publishes `value` to every subscriber; see `Robot.publish`.
 
-        Raises `PayloadError`, `CodecError` and `Closed`.
+        Raises `TypeError` if the value does not have the type that the publisher states, `PayloadError`, `CodecError`
+        and `Closed`.
         """
         self._session.check()
+        if self._converter is not None:
+            self._converter.check(value)
         payload = payload_of(value, self._codec)
         self._session.publish(self._topic, None, payload, self._urgency, self._lifetime)
 
@@ -83,7 +94,7 @@ class Publisher:
         """Stops observing the subscribers."""
         self._declared.end()
 
-    def __enter__(self) -> Publisher:
+    def __enter__(self) -> Publisher[T]:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -8,6 +8,7 @@ import json
 import os
 import threading
 from collections.abc import Iterator, Mapping
+from datetime import datetime
 from typing import TYPE_CHECKING, Any, Union
 
 import zenoh
@@ -15,7 +16,7 @@ import zenoh
 from rect import _rect, registry
 from rect.errors import Closed, NoService, PayloadError, RectError
 from rect.events import Event, Events
-from rect.message import Message
+from rect.message import Message, utc
 from rect.recording_queries import RecordingQueries
 from rect.subscriber import Subscriber, Subscription
 from rect.values import Payload
@@ -53,7 +54,9 @@ class Recorder:
         self._closing = threading.Event()
         try:
             inbound = _rect.Inbound.of_recorder(place, patterns)
-            messages = Subscriber(session, inbound, "to record", _rect.RECORDER_CAPACITY, "drop_oldest")
+            messages: Subscriber = Subscriber(
+                session, inbound, "to record", None, _rect.RECORDER_CAPACITY, "drop_oldest"
+            )
             self._subscriptions: list[Subscription[Any]] = [
                 Subscription(messages, self._add, "recorder"),
                 Subscription(Events(session), self._add_event, "events"),
@@ -125,15 +128,19 @@ class Recorder:
         return progress[0] if progress else self._counts
 
 
-class RecordedMessage(Message):
+class RecordedMessage(Message[Any]):
     """A message of a recording."""
 
-    __slots__ = ("recorded_at",)
+    __slots__ = ("_recorded_s",)
 
-    def __init__(self, metadata: _rect.MessageMetadata, payload: Payload, recorded_at: float) -> None:
+    def __init__(self, metadata: _rect.MessageMetadata, payload: Payload, recorded_s: float) -> None:
         super().__init__(metadata, payload)
-        #: When the message was recorded, in seconds since 1970 by the recorder's clock.
-        self.recorded_at = recorded_at
+        self._recorded_s = recorded_s
+
+    @property
+    def recorded_at(self) -> datetime:
+        """When the message was recorded, by the recorder's clock, in UTC."""
+        return utc(self._recorded_s)
 
 
 class Recording:
@@ -162,8 +169,8 @@ class Recording:
         """
         reader = _rect.RecordingReader(self._path, list(patterns))
         while (found := reader.next()) is not None:
-            metadata, payload, encoding, recorded_at = found
-            yield RecordedMessage(metadata, Payload(payload, encoding), recorded_at)
+            metadata, payload, encoding, recorded_s = found
+            yield RecordedMessage(metadata, Payload(payload, encoding), recorded_s)
 
     def numbers(self, pattern: str) -> dict[str, numpy.ndarray[Any, Any]]:
         """Returns the numbers in the messages that match a pattern, as arrays of equal length.
@@ -178,7 +185,7 @@ class Recording:
             fields: dict[str, float] = {}
             with contextlib.suppress(PayloadError):
                 _collect("", message.value, fields)
-            columns.add(message.recorded_at, fields)
+            columns.add(message._recorded_s, fields)
         return columns.arrays()
 
     def links(self) -> dict[tuple[str, str], dict[str, numpy.ndarray[Any, Any]]]:
@@ -192,34 +199,35 @@ class Recording:
         """
         started = self._started()
         links: dict[tuple[str, str], _Columns] = {}
-        for robot, peer, value, recorded_at in self._reports(_rect.RECORDED_LINK):
+        for robot, peer, value, recorded_s in self._reports(_rect.RECORDED_LINK):
             fields: dict[str, float] = {}
             _collect("", value, fields)
-            links.setdefault((robot, peer), _Columns(started)).add(recorded_at, fields)
+            links.setdefault((robot, peer), _Columns(started)).add(recorded_s, fields)
         return {ends: columns.arrays() for ends, columns in links.items()}
 
     def events(self) -> Iterator[RecordedEvent]:
         """Yields the events of the recording robots: robots, links and routers that appeared and disappeared."""
-        for robot, _, value, recorded_at in self._reports(_rect.RECORDED_EVENTS):
+        for robot, _, value, recorded_s in self._reports(_rect.RECORDED_EVENTS):
             known: dict[str, Any] = {field.name: value.get(field.name) for field in dataclasses.fields(Event)}
-            yield RecordedEvent(recorded_at, robot, Event(**known))
+            yield RecordedEvent(utc(recorded_s), robot, Event(**known))
 
     def requests(self) -> Iterator[RecordedRequest]:
         """Yields the requests to services of the recording robots."""
-        for robot, _, value, recorded_at in self._reports(_rect.RECORDED_REQUESTS):
-            yield RecordedRequest(recorded_at, robot, value.get("sender"), str(value.get("topic")), value.get("value"))
+        for robot, _, value, recorded_s in self._reports(_rect.RECORDED_REQUESTS):
+            asked_by, topic = value.get("sender"), str(value.get("topic"))
+            yield RecordedRequest(utc(recorded_s), robot, asked_by, topic, value.get("value"))
 
     def _reports(self, subject: str) -> Iterator[tuple[str, str, dict[str, Any], float]]:
         """Yields the reports of a subject: the robot, the rest of the subject, the value, and the time of recording."""
         reader = _rect.RecordingReader(self._path, [])
         while (found := reader.next_report()) is not None:
-            topic, text, recorded_at = found
+            topic, text, recorded_s = found
             robot, _, of, *rest = [*topic.split("/"), ""]
             # A file of another program may have anything there.
             with contextlib.suppress(ValueError):
                 value = json.loads(text)
                 if of == subject and isinstance(value, dict):
-                    yield robot, rest[0] if rest else "", value, recorded_at
+                    yield robot, rest[0] if rest else "", value, recorded_s
 
     def _started(self) -> float:
         """Returns when the first message or report was recorded."""
@@ -230,8 +238,8 @@ class Recording:
 class RecordedEvent:
     """An event in a recording."""
 
-    #: When it was recorded, in seconds since 1970 by the recorder's clock.
-    recorded_at: float
+    #: When it was recorded, by the recorder's clock, in UTC.
+    recorded_at: datetime
     #: The robot whose program received the event.
     reporter: str
     #: The event.
@@ -242,8 +250,8 @@ class RecordedEvent:
 class RecordedRequest:
     """A request in a recording. The replies are not recorded."""
 
-    #: When it arrived, in seconds since 1970 by the recorder's clock.
-    recorded_at: float
+    #: When it arrived, by the recorder's clock, in UTC.
+    recorded_at: datetime
     #: The robot that was asked.
     robot: str
     #: The robot that asked. `None` if that program does not use RECT.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -155,11 +156,11 @@ def peers(session: Session) -> list[str]:
     return names
 
 
-def wait(session: Session, driver: _rect.Driver, expected: str, timeout: float) -> None:
-    """Runs a wait of the core. Raises `TimedOut` and `Closed`."""
+def wait(session: Session, driver: _rect.Driver, expected: Callable[[], str], timeout: float) -> None:
+    """Runs a wait of the core. Raises `TimedOut`, whose text says what was expected, and `Closed`."""
     waited = Executor(session, driver).run()
     if waited == "timed_out":
-        raise TimedOut(expected, timeout)
+        raise TimedOut(expected(), timeout)
     if waited == "closed":
         session.check()
         raise Closed

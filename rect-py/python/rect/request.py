@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Generic
 
 import zenoh
 
@@ -13,6 +13,7 @@ from rect import _rect
 from rect._zenoh import direct, get_arguments, zenoh_error
 from rect.errors import RectError, ServiceError, TimedOut, ZenohError
 from rect.receive_queue import Ended, ReceiveQueue
+from rect.typed import Converter, T
 from rect.values import Payload
 
 if TYPE_CHECKING:
@@ -20,21 +21,27 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class Reply:
-    """A reply to a request."""
+class Reply(Generic[T]):
+    """A reply to a request. `Reply[Pose]` has a `value` of the type `Pose`."""
 
     #: Name of the robot that replied.
     sender: str
     #: The payload: bytes with an encoding.
     payload: Payload
+    _converter: Converter[T] | None = field(default=None, repr=False, compare=False)
 
     @property
-    def value(self) -> Any:
-        """The decoded payload; see `Message.value`."""
-        return self.payload.value
+    def value(self) -> T:
+        """The decoded payload, as the type that the request states (`returns`); see `Message.value`.
+
+        Raises `PayloadError` if the bytes do not match the encoding, and `MismatchError` if the value does not fit the
+        type.
+        """
+        value: T = self.payload.value
+        return value if self._converter is None else self._converter.convert(value)
 
 
-class Replies:
+class Replies(Generic[T]):
     """Iterates over the replies to one request as they arrive. Returned by `Robot.request_all`.
 
     The iteration ends when all services have replied. Each step raises `ServiceError` if a service replied with an
@@ -43,9 +50,17 @@ class Replies:
     """
 
     def __init__(
-        self, session: Session, robot: str | None, topic: str, payload: Payload, urgency: str, timeout: float
+        self,
+        session: Session,
+        robot: str | None,
+        topic: str,
+        payload: Payload,
+        urgency: str,
+        timeout: float,
+        converter: Converter[T] | None,
     ) -> None:
         self._session = session
+        self._converter = converter
         self._inquiry = _rect.Inquiry(session.key_space, robot, topic, timeout)
         self._timeout = timeout
         self._deadline = time.monotonic() + timeout
@@ -66,10 +81,10 @@ class Replies:
         except zenoh.ZError as error:
             raise zenoh_error("cannot send the request", error) from error
 
-    def __iter__(self) -> Iterator[Reply]:
+    def __iter__(self) -> Iterator[Reply[T]]:
         return self
 
-    def __next__(self) -> Reply:
+    def __next__(self) -> Reply[T]:
         try:
             reply = self._queue.pop(self._remaining())
         except Ended:
@@ -79,7 +94,7 @@ class Replies:
             raise self.timed_out() from None
         return self._reply(reply)
 
-    async def next_async(self) -> Reply | None:
+    async def next_async(self) -> Reply[T] | None:
         """Waits for the next reply with asyncio; returns `None` after the last one."""
         try:
             reply = await self._queue.pop_async(self._remaining())
@@ -110,7 +125,7 @@ class Replies:
             with self._session.calls:
                 self._cancellation.cancel()
 
-    def __enter__(self) -> Replies:
+    def __enter__(self) -> Replies[T]:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -130,10 +145,10 @@ class Replies:
         self._queue.close()
         return TimedOut(self._inquiry.expected, self._timeout)
 
-    def _reply(self, reply: zenoh.Reply) -> Reply:
+    def _reply(self, reply: zenoh.Reply) -> Reply[T]:
         kind, robot, payload = self._inquiry.on_reply(reply)
         if kind == "answer" and robot is not None:
-            return Reply(robot, self._session.decoder.payload(robot, Payload(*payload)))
+            return Reply(robot, self._session.decoder.payload(robot, Payload(*payload)), self._converter)
         if kind == "error":
             raise service_error(robot, Payload(*payload))
         if kind == "timed_out":

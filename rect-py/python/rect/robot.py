@@ -22,9 +22,10 @@ from rect.recording import Recorder
 from rect.registry import Connections
 from rect.request import Replies, Reply
 from rect.service import Request, Service
-from rect.stream import Frame, Stream, Watch
+from rect.stream import Frame, StreamSender, Watcher
 from rect.subscriber import Subscriber, Subscription, callable_or_none
 from rect.transfer import OnProgress, OutgoingTransfer, Progress, Received, Transfers
+from rect.typed import T, converter_of
 from rect.values import codec_of, payload_of
 
 #: Default timeout of a request, in seconds.
@@ -33,7 +34,7 @@ DEFAULT_TIMEOUT: float = _rect.DEFAULT_TIMEOUT_S
 #: Default maximum size of a transfer that is accepted, in bytes.
 DEFAULT_MAX_BYTES = 64 << 20
 
-Handler = Callable[[Request], Any]
+Handler = Callable[[Request[Any]], Any]
 CodecLike = Union[str, _rect.Codec, None]
 
 
@@ -164,62 +165,115 @@ class Robot:
     def subscribe(
         self,
         pattern: str,
-        callback: None = None,
+        type: type[T],
         *,
+        callback: None = None,
         capacity: int = DEFAULT_CAPACITY,
         when_full: WhenFull = "drop_oldest",
-    ) -> Subscriber: ...
+    ) -> Subscriber[T]: ...
     @overload
     def subscribe(
         self,
         pattern: str,
-        callback: Callable[[Message], object],
+        type: type[T],
         *,
+        callback: Callable[[Message[T]], object],
         capacity: int = DEFAULT_CAPACITY,
         when_full: WhenFull = "drop_oldest",
-    ) -> Subscription[Message]: ...
+    ) -> Subscription[Message[T]]: ...
+    @overload
     def subscribe(
         self,
         pattern: str,
-        callback: Callable[[Message], object] | None = None,
+        type: Any = None,
         *,
+        callback: None = None,
         capacity: int = DEFAULT_CAPACITY,
         when_full: WhenFull = "drop_oldest",
-    ) -> Subscriber | Subscription[Message]:
+    ) -> Subscriber[Any]: ...
+    @overload
+    def subscribe(
+        self,
+        pattern: str,
+        type: Any = None,
+        *,
+        callback: Callable[[Message[Any]], object],
+        capacity: int = DEFAULT_CAPACITY,
+        when_full: WhenFull = "drop_oldest",
+    ) -> Subscription[Message[Any]]: ...
+    def subscribe(
+        self,
+        pattern: str,
+        type: Any = None,
+        *,
+        callback: Callable[[Message[Any]], object] | None = None,
+        capacity: int = DEFAULT_CAPACITY,
+        when_full: WhenFull = "drop_oldest",
+    ) -> Subscriber[Any] | Subscription[Message[Any]]:
         """Subscribes to the messages that match a pattern and are published to all robots, or sent to this one.
 
         A pattern is `<robot>/<topic>`. Both parts may contain wildcards: `*/arm/*`. Without a callback, this method
         returns a `Subscriber` to iterate over. With a callback, it calls the callback for each message, one call at a
         time, on a separate thread.
 
+        - `type`: type of the values, such as a dataclass or `list[float]`: docs/reference/python.md lists the possible
+          ones. A message whose value does not fit has a `problem` and no `value`. Default: any values.
         - `capacity`: number of messages that may wait for the program, at least 1. Default: 256.
         - `when_full`: `drop_oldest` (default) drops the message that has waited longest, `drop_newest` drops the
           message that arrived last, and `block` makes the sender wait.
 
-        Raises `InvalidTopicError`, `InvalidNameError`, `OptionError` and `Closed`. Example:
+        Raises `InvalidTopicError`, `InvalidNameError`, `OptionError`, `Closed`, and `TypeError` if values cannot be
+        converted to the type. Example:
 
-            for message in robot.subscribe("*/arm/angle"):
-                print(message.sender, message.value)
+            @dataclass
+            class Battery:
+                percent: float
+
+            for message in robot.subscribe("*/battery", Battery):
+                print(message.sender, message.value.percent)
         """
         callable_or_none(callback)
         self._session.check()
+        converter = converter_of(type)
         inbound = _rect.Inbound(self._session.key_space, text("pattern", pattern))
-        subscriber = Subscriber(self._session, inbound, pattern, capacity, when_full)
+        subscriber = Subscriber(self._session, inbound, pattern, converter, capacity, when_full)
         return subscriber if callback is None else Subscription(subscriber, callback, pattern)
 
+    @overload
     def publisher(
         self,
         topic: str,
+        type: type[T],
         *,
         urgency: Urgency = "normal",
         codec: CodecLike = None,
         expires_after: float | None = None,
-    ) -> Publisher:
+    ) -> Publisher[T]: ...
+    @overload
+    def publisher(
+        self,
+        topic: str,
+        type: Any = None,
+        *,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+        expires_after: float | None = None,
+    ) -> Publisher[Any]: ...
+    def publisher(
+        self,
+        topic: str,
+        type: Any = None,
+        *,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+        expires_after: float | None = None,
+    ) -> Publisher[Any]:
         """Returns a publisher of `topic`, which knows whether there are subscribers and can wait for one.
 
-        For `urgency`, `codec` and `expires_after` see `publish`.
+        - `type`: class of the values; `Publisher.publish` raises `TypeError` for others. Default: any values.
+        - `urgency`, `codec`, `expires_after`: see `publish`.
 
-        Raises `InvalidTopicError`, `CodecError`, `OptionError` and `Closed`.
+        Raises `InvalidTopicError`, `CodecError`, `OptionError`, `Closed`, and `TypeError` if the type is not possible.
 
         >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
         ...     angles = robot.publisher("arm/angle")
@@ -228,7 +282,9 @@ class Robot:
         """
         self._session.check()
         lifetime = lifetime_of(expires_after)
-        return Publisher(self._session, text("topic", topic), text("urgency", urgency), codec_of(codec), lifetime)
+        converter = converter_of(type)
+        arguments = (text("urgency", urgency), codec_of(codec), lifetime)
+        return Publisher(self._session, text("topic", topic), converter, *arguments)
 
     def wait_for_peer(self, robot: str, timeout: float) -> None:
         """Waits until `robot` is reachable. Returns at once if it is. `timeout` is in seconds.
@@ -236,12 +292,12 @@ class Robot:
         A robot is reachable while its router, or a program without a router, is connected with this one. Its programs
         may start later: `Publisher.wait_for_subscriber` waits for one that subscribes.
 
-        Raises `TimedOut`, `InvalidNameError`, `OptionError` and `Closed`.
+        Raises `TimedOut`, which names the reachable robots, `InvalidNameError`, `OptionError` and `Closed`.
         """
         self._session.check()
         timeout = seconds("timeout", timeout)
         driver = _rect.peer_wait(self._session.key_space, text("robot", robot), timeout)
-        registry.wait(self._session, driver, f"connection with {robot}", timeout)
+        registry.wait(self._session, driver, lambda: _rect.expected_connection(robot, self.peers()), timeout)
 
     def wait_until_established(self, timeout: float) -> None:
         """Waits until every reachable router knows the subscriptions and services of this program.
@@ -255,34 +311,64 @@ class Robot:
         self._session.check()
         timeout = seconds("timeout", timeout)
         driver = _rect.established_wait(self._session.key_space, timeout)
-        registry.wait(self._session, driver, "answer of every router", timeout)
+        registry.wait(self._session, driver, lambda: "answer of every router", timeout)
 
-    def wait_for_message(self, robot: str, topic: str, timeout: float | None = None) -> Message:
-        """Waits for the next message of `robot` on `topic` and returns it.
+    @overload
+    def wait_for_message(self, pattern: str, type: type[T], *, timeout: float | None = None) -> Message[T]: ...
+    @overload
+    def wait_for_message(self, pattern: str, type: Any = None, *, timeout: float | None = None) -> Message[Any]: ...
+    def wait_for_message(self, pattern: str, type: Any = None, *, timeout: float | None = None) -> Message[Any]:
+        """Waits for the next message that matches the pattern and returns it.
 
         Messages that were sent before this call are not received. `timeout` is in seconds; `None`, the default, waits
-        without limit.
+        without limit. For `type` see `subscribe`.
 
-        Raises `TimedOut`, `InvalidNameError`, `InvalidTopicError`, `OptionError` and `Closed`.
+        Raises `TimedOut`, `InvalidNameError`, `InvalidTopicError`, `OptionError`, `Closed` and `TypeError`.
         """
         if timeout is not None:
             seconds("timeout", timeout)
-        with self.subscribe(_rect.pattern_of(text("robot", robot), text("topic", topic))) as subscriber:
+        with self.subscribe(pattern, type) as subscriber:
             return subscriber.next(timeout)
 
+    @overload
     def request(
         self,
         robot: str,
         topic: str,
         value: Any = "",
         *,
+        returns: type[T],
         timeout: float = DEFAULT_TIMEOUT,
         urgency: Urgency = "normal",
         codec: CodecLike = None,
-    ) -> Reply:
+    ) -> Reply[T]: ...
+    @overload
+    def request(
+        self,
+        robot: str,
+        topic: str,
+        value: Any = "",
+        *,
+        returns: Any = None,
+        timeout: float = DEFAULT_TIMEOUT,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+    ) -> Reply[Any]: ...
+    def request(
+        self,
+        robot: str,
+        topic: str,
+        value: Any = "",
+        *,
+        returns: Any = None,
+        timeout: float = DEFAULT_TIMEOUT,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+    ) -> Reply[Any]:
         """Sends a request to a service of `robot`, and returns its first reply.
 
         - `value`: payload of the request. Default: an empty text.
+        - `returns`: type of the reply's value; see `subscribe`. Default: any value.
         - `timeout`: time to wait for the reply, in seconds. Default: 10.
         - `urgency`, `codec`: see `publish`.
 
@@ -295,7 +381,7 @@ class Robot:
         ...     robot.request("wombat-1", "double", 21).value
         42
         """
-        replies = self._request(text("robot", robot), topic, value, timeout, urgency, codec)
+        replies = self._request(text("robot", robot), topic, value, returns, timeout, urgency, codec)
         try:
             for reply in replies:
                 return reply
@@ -303,20 +389,43 @@ class Robot:
             replies.leave()
         raise NoService(robot, topic, self.peers())
 
+    @overload
     def request_all(
         self,
         topic: str,
         value: Any = "",
         *,
+        returns: type[T],
         timeout: float = DEFAULT_TIMEOUT,
         urgency: Urgency = "normal",
         codec: CodecLike = None,
-    ) -> Replies:
+    ) -> Replies[T]: ...
+    @overload
+    def request_all(
+        self,
+        topic: str,
+        value: Any = "",
+        *,
+        returns: Any = None,
+        timeout: float = DEFAULT_TIMEOUT,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+    ) -> Replies[Any]: ...
+    def request_all(
+        self,
+        topic: str,
+        value: Any = "",
+        *,
+        returns: Any = None,
+        timeout: float = DEFAULT_TIMEOUT,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+    ) -> Replies[Any]:
         """Sends a request to the services of all robots that serve `topic`, and returns an iterator of their replies.
 
         The iteration ends when all services have replied; `Replies` lists its errors. For the parameters see `request`.
         """
-        return self._request(None, topic, value, timeout, urgency, codec)
+        return self._request(None, topic, value, returns, timeout, urgency, codec)
 
     @overload
     def serve(self, topic: str) -> Callable[[Handler], Service]: ...
@@ -336,7 +445,10 @@ class Robot:
         ...     robot.request("wombat-1", "double", 21).value
         42
 
-        Raises `InvalidTopicError` and `Closed`.
+        A handler whose parameter is annotated with `rect.Request[Grab]` receives values of the type `Grab` (see
+        `subscribe`). A request with another value is answered with an error that names the field.
+
+        Raises `InvalidTopicError`, `Closed`, and `TypeError` if values cannot be converted to that type.
         """
         self._session.check()
         text("topic", topic)
@@ -358,7 +470,7 @@ class Robot:
         feedback_interval: float | None = None,
         lossy_format: LossyFormat = "jpeg",
         urgency: Urgency = "normal",
-    ) -> Stream:
+    ) -> StreamSender:
         """Opens a stream for sending frames. A slow link drops the frames for which it has no room.
 
         - `mode`: `adaptive` sends pictures at the size, quality and rate that the link allows (the default without a
@@ -385,7 +497,7 @@ class Robot:
         """
         self._session.check()
         codec = codec_of(codec)
-        return Stream(
+        return StreamSender(
             self._session,
             text("topic", topic),
             text("mode", mode or ("adaptive" if codec is None else "fixed")),
@@ -401,38 +513,35 @@ class Robot:
     @overload
     def watch(
         self,
-        robot: str,
-        topic: str,
-        callback: None = None,
+        stream: str,
         *,
+        callback: None = None,
         capacity: int = 1,
         when_full: WhenFull = "drop_oldest",
         decode: bool = True,
-    ) -> Watch: ...
+    ) -> Watcher: ...
     @overload
     def watch(
         self,
-        robot: str,
-        topic: str,
-        callback: Callable[[Frame], object],
+        stream: str,
         *,
+        callback: Callable[[Frame], object],
         capacity: int = 1,
         when_full: WhenFull = "drop_oldest",
         decode: bool = True,
     ) -> Subscription[Frame]: ...
     def watch(
         self,
-        robot: str,
-        topic: str,
-        callback: Callable[[Frame], object] | None = None,
+        stream: str,
         *,
+        callback: Callable[[Frame], object] | None = None,
         capacity: int = 1,
         when_full: WhenFull = "drop_oldest",
         decode: bool = True,
-    ) -> Watch | Subscription[Frame]:
-        """Receives the stream of `robot` on `topic`.
+    ) -> Watcher | Subscription[Frame]:
+        """Receives a stream, `<robot>/<topic>`.
 
-        Without a callback, this method returns a `Watch` to iterate over. With a callback, it calls the callback for
+        Without a callback, this method returns a `Watcher` to iterate over. With a callback, it calls the callback for
         each frame, one call at a time, on a separate thread.
 
         - `capacity`: number of frames that may wait for the program. Default: 1, so only the newest frame waits. To
@@ -444,13 +553,13 @@ class Robot:
 
         Raises `InvalidNameError`, `InvalidTopicError`, `OptionError` and `Closed`. Example:
 
-            for frame in robot.watch("wombat-1", "camera"):
+            for frame in robot.watch("wombat-1/camera"):
                 print(frame.number, frame.age, frame.value)
         """
         callable_or_none(callback)
         self._session.check()
-        watch = Watch(self._session, text("robot", robot), text("topic", topic), capacity, when_full, decode)
-        return watch if callback is None else Subscription(watch, callback, f"{robot}/{topic}")
+        watcher = Watcher(self._session, text("stream", stream), capacity, when_full, decode)
+        return watcher if callback is None else Subscription(watcher, callback, stream)
 
     def transfer(
         self,
@@ -705,9 +814,12 @@ class Robot:
         self._session.publish(text("topic", topic), recipient, payload, text("urgency", urgency), lifetime)
 
     def _request(
-        self, robot: str | None, topic: str, value: Any, timeout: float, urgency: str, codec: CodecLike
-    ) -> Replies:
+        self, robot: str | None, topic: str, value: Any, returns: Any, timeout: float, urgency: str, codec: CodecLike
+    ) -> Replies[Any]:
         self._session.check()
+        converter = converter_of(returns)
         payload = payload_of(value, codec_of(codec))
         timeout = seconds("timeout", timeout)
-        return Replies(self._session, robot, text("topic", topic), payload, text("urgency", urgency), timeout)
+        return Replies(
+            self._session, robot, text("topic", topic), payload, text("urgency", urgency), timeout, converter
+        )

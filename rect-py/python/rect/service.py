@@ -6,16 +6,20 @@ import inspect
 import logging
 import threading
 import time
+import types
+import typing
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic
 
 import zenoh
 
 from rect import _rect
 from rect._zenoh import direct, payload_bytes, zenoh_error
 from rect.declared import Declared
-from rect.errors import CodecError, RectError
+from rect.errors import CodecError, MismatchError, PayloadError, RectError
+from rect.message import UNREAD
 from rect.receive_queue import Ended, ReceiveQueue
+from rect.typed import Converter, T, converter_of
 from rect.values import Payload, payload_of
 
 if TYPE_CHECKING:
@@ -36,10 +40,13 @@ class Refusal(Exception):
         self.value = value
 
 
-class Request:
-    """A request to a service. If a request is closed without a reply, the requester receives none."""
+class Request(Generic[T]):
+    """A request to a service. `Request[Grab]` has a `value` of the type `Grab`.
 
-    __slots__ = ("_key", "_query", "_session", "deadline", "payload", "sender")
+    If a request is closed without a reply, the requester receives none.
+    """
+
+    __slots__ = ("_key", "_query", "_session", "_value", "deadline", "payload", "sender")
 
     def __init__(
         self, query: zenoh.Query, requester: tuple[str | None, float], session: Session, key: str, age: float = 0
@@ -49,6 +56,7 @@ class Request:
         self._query = query
         self._session = session
         self._key = key
+        self._value = UNREAD
         #: Name of the robot that sent the request, as stated by its program. `None` if that program does not use RECT.
         #: The name is not verified: do not base permissions on it.
         self.sender = sender
@@ -58,9 +66,14 @@ class Request:
         self.deadline = time.monotonic() - age + timeout
 
     @property
-    def value(self) -> Any:
-        """The decoded payload; see `Message.value`."""
-        return self.payload.value
+    def value(self) -> T:
+        """The decoded payload, as the type that the handler states; see `Message.value`."""
+        value: T = self.payload.value if self._value is UNREAD else self._value
+        return value
+
+    def fit(self, converter: Converter[T]) -> None:
+        """Converts the value to the type that the handler states. Raises `PayloadError`."""
+        self._value = converter.convert(self.payload.value)
 
     @property
     def topic(self) -> str:
@@ -120,8 +133,9 @@ class Request:
 class Requests:
     """Receives the requests to a service."""
 
-    def __init__(self, session: Session, topic: str) -> None:
+    def __init__(self, session: Session, topic: str, converter: Converter[Any] | None = None) -> None:
         self._session = session
+        self._converter = converter
         self._queue: ReceiveQueue[tuple[zenoh.Query, _rect.Timestamp]] = ReceiveQueue(
             _rect.SERVICE_CAPACITY, "drop_newest"
         )
@@ -135,21 +149,21 @@ class Requests:
             self._declared.end()
             raise zenoh_error("cannot declare the service", error) from error
 
-    def next(self) -> Request:
+    def next(self) -> Request[Any]:
         """Waits for the next request that can still be answered. Raises `Ended`."""
         while True:
             request = self._request(*self._queue.pop())
             if request is not None and self._decode(request):
                 return request
 
-    async def next_async(self) -> Request:
+    async def next_async(self) -> Request[Any]:
         """Does the same as `next`, for asyncio."""
         while True:
             request = self._request(*await self._queue.pop_async())
             if request is not None and self._decode(request):
                 return request
 
-    def _request(self, query: zenoh.Query, arrived_at: _rect.Timestamp) -> Request | None:
+    def _request(self, query: zenoh.Query, arrived_at: _rect.Timestamp) -> Request[Any] | None:
         """Returns the request that a query makes. Any other query ends without a reply."""
         attachment = query.attachment
         requester = _rect.requester(str(query.key_expr), None if attachment is None else attachment.to_bytes())
@@ -158,19 +172,24 @@ class Requests:
             return None
         return Request(query, requester, self._session, self._key, arrived_at.ago())
 
-    def _decode(self, request: Request) -> bool:
+    def _decode(self, request: Request[Any]) -> bool:
         """Decodes the request, and returns whether to handle it.
 
-        A request that cannot be decoded is answered with the error. One that is too late is dropped.
+        One that cannot be decoded, or whose value does not fit, is answered with the error. One that is too late is
+        dropped.
         """
         if request.remaining == 0:
             request.close()
             return False
+        sender = request.sender or self._session.key_space.robot
         try:
-            sender = request.sender or self._session.key_space.robot
             request.payload = self._session.decoder.payload(sender, request.payload)
-        except CodecError as error:
-            request.refuse(str(error))
+            if self._converter is not None:
+                request.fit(self._converter)
+        except PayloadError as error:
+            if not isinstance(error, CodecError):
+                self._session.problems.on_problem(sender, request.topic, error)
+            request.refuse(f"{request.topic}: {error}" if isinstance(error, MismatchError) else str(error))
             request.close()
             return False
         return True
@@ -185,13 +204,13 @@ class Service:
     Returned by `Robot.serve`. It ends when it or the robot is closed.
     """
 
-    def __init__(self, session: Session, topic: str, handler: Callable[[Request], Any]) -> None:
+    def __init__(self, session: Session, topic: str, handler: Callable[[Request[Any]], Any]) -> None:
         self._topic = topic
         self._handler = handler
         self._lock = threading.Lock()
         self._workers = 0
         self._idle = 0
-        self._requests = Requests(session, topic)
+        self._requests = Requests(session, topic, request_converter(handler))
         self._ensure_waiting_worker()
 
     def close(self) -> None:
@@ -204,7 +223,7 @@ class Service:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def __call__(self, request: Request) -> Any:
+    def __call__(self, request: Request[Any]) -> Any:
         """Calls the handler, so that a function decorated by `@robot.serve` remains callable."""
         return self._handler(request)
 
@@ -234,6 +253,33 @@ class Service:
                 self._idle += 1
 
 
+def request_converter(handler: Callable[..., Any]) -> Converter[Any] | None:
+    """Returns the converter to the type that a handler states: `Grab` for the parameter `request: rect.Request[Grab]`.
+
+    Raises `TypeError` if there is no such type, or values cannot be converted to it.
+    """
+    try:
+        first = next(iter(inspect.signature(handler).parameters.values()), None)
+    except (TypeError, ValueError):
+        # Some functions in C have no signature.
+        return None
+    stated: Any = None if first is None or first.annotation is first.empty else first.annotation
+    if isinstance(stated, str):
+        if "Request[" not in stated:
+            return None
+        function = inspect.unwrap(handler)
+        names = getattr(function, "__globals__", None) or getattr(type(handler).__call__, "__globals__", {})
+        holder = types.SimpleNamespace(__annotations__={"request": stated})
+        try:
+            stated = typing.get_type_hints(holder, names)["request"]
+        except NameError as error:
+            text = (
+                f"the type {stated} of the handler cannot be resolved: {error}. Define the classes outside of functions"
+            )
+            raise TypeError(text) from None
+    return converter_of(typing.get_args(stated)[0]) if typing.get_origin(stated) is Request else None
+
+
 def error_text(error: BaseException) -> str:
     """Returns the text with which the requester is informed of the exception of a handler."""
     if isinstance(error, SystemExit):
@@ -250,7 +296,7 @@ def _refuse_overload(me: str) -> Callable[[zenoh.Query], None]:
     return refuse
 
 
-def answer(request: Request, handler: Callable[[Request], Any]) -> None:
+def answer(request: Request[Any], handler: Callable[[Request[Any]], Any]) -> None:
     """Calls the handler and sends what it returns, yields or raises."""
     try:
         try:

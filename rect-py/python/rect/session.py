@@ -19,6 +19,7 @@ from rect import _rect
 from rect._zenoh import call_interruptibly, qos, zenoh_error
 from rect.errors import Closed, ThreadError
 from rect.options import Options
+from rect.problems import Problems
 from rect.publication import Publication
 from rect.receive_queue import ReceiveQueue
 from rect.urgency_sessions import UrgencySessions
@@ -74,6 +75,7 @@ class Session:
         #: Decodes payloads; set when the session is complete.
         self.decoder: Decoding
         self.counters = _rect.AtomicCounters()
+        self.problems = Problems(self.counters)
         #: Handles with open declarations.
         self.handles: set[Declaring] = set()
         #: Garbage-collected handles; `check` ends them, since that may block.

@@ -1,4 +1,4 @@
-"""Defines `Stream`, which sends frames, and `Watch`, which receives them. Their drivers are in the core."""
+"""Defines `StreamSender`, which sends frames, and `Watcher`, which receives them. Their drivers are in the core."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from rect.session import Session
 
 
-class Stream:
+class StreamSender:
     """Sends the frames of a stream. Returned by `Robot.stream`.
 
     The stream ends when it or the robot is closed, or when it is garbage-collected.
@@ -111,14 +111,14 @@ class Stream:
         """Ends the stream."""
         self._executor.end()
 
-    def __enter__(self) -> Stream:
+    def __enter__(self) -> StreamSender:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
     def __repr__(self) -> str:
-        return f"Stream({self._core.key})"
+        return f"StreamSender({self._core.key})"
 
     def _put(self, job: _rect.Job, frame: bytes, encoding: str) -> None:
         step = self._core.frame(job, frame, encoding)
@@ -157,20 +157,21 @@ class Frame:
         return value._repr_png_() if isinstance(value, Picture) else None
 
 
-class Watch:
+class Watcher:
     """Receives the frames of a stream. Returned by `Robot.watch`.
 
-    Iterating waits for one frame after another and skips outdated ones; it ends when the watch or the robot is closed.
+    Iterating waits for one frame after another, and skips outdated ones. It ends when the watcher or the robot is
+    closed.
     """
 
-    _HANDLE = "watch"
+    _HANDLE = "watcher"
 
-    def __init__(self, session: Session, robot: str, topic: str, capacity: int, when_full: str, decode: bool) -> None:
+    def __init__(self, session: Session, stream: str, capacity: int, when_full: str, decode: bool) -> None:
         self._session = session
-        self._name = f"{robot}/{topic}"
+        self._name = stream
         #: Ordinal, number of lost frames until then, number, age, bytes and encoding of a frame.
         self._queue: ReceiveQueue[tuple[int, int, int, float | None, bytes, str]] = ReceiveQueue(capacity, when_full)
-        self._core = _rect.StreamWatch(session.key_space, robot, topic, random.getrandbits(16))
+        self._core = _rect.StreamWatch(session.key_space, stream, random.getrandbits(16))
         if not decode:
             self._core.leave_undecoded()
         self._reader = self._core.reader()
@@ -183,7 +184,7 @@ class Watch:
 
         `timeout` is in seconds; `None`, the default, waits without limit.
 
-        Raises `TimedOut` if no frame arrives in time, and `Closed` if the watch or the robot is closed.
+        Raises `TimedOut` if no frame arrives in time, and `Closed` if the watcher or the robot is closed.
         """
         try:
             return self._next(timeout)
@@ -230,7 +231,7 @@ class Watch:
         """Stops receiving the stream."""
         self._executor.end()
 
-    def __enter__(self) -> Watch:
+    def __enter__(self) -> Watcher:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -6,7 +6,7 @@ import logging
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Generic, TypeVar, Union
+from typing import TYPE_CHECKING, Any, Generic, Union
 
 import zenoh
 
@@ -17,12 +17,12 @@ from rect.declared import Declared
 from rect.errors import CodecError, TimedOut
 from rect.message import Message
 from rect.receive_queue import Ended, ReceiveQueue
+from rect.typed import Converter, T
 from rect.values import Payload
 
 if TYPE_CHECKING:
     from rect.session import Session
 
-T = TypeVar("T")
 #: Metadata, payload bytes, encoding, and the method of the link, if it is known.
 _Arrived = tuple[_rect.MessageMetadata, bytes, str, Union[str, None]]
 _LOG = logging.getLogger("rect")
@@ -38,7 +38,7 @@ class SenderCounts:
     missed: int
 
 
-class Subscriber:
+class Subscriber(Generic[T]):
     """Receives the messages of a pattern. Returned by `Robot.subscribe`.
 
     Iterating waits for one message after another, and ends when the subscriber or the robot is closed. The subscription
@@ -55,9 +55,16 @@ class Subscriber:
     _HANDLE = "subscriber"
 
     def __init__(
-        self, session: Session, inbound: _rect.Inbound, description: str, capacity: int, when_full: str
+        self,
+        session: Session,
+        inbound: _rect.Inbound,
+        description: str,
+        converter: Converter[T] | None,
+        capacity: int,
+        when_full: str,
     ) -> None:
         self._session = session
+        self._converter = converter
         self._description = description
         self._queue: ReceiveQueue[_Arrived] = ReceiveQueue(capacity, when_full)
         self._inbound = inbound
@@ -72,7 +79,7 @@ class Subscriber:
                 raise zenoh_error("cannot declare the subscriber", error) from error
         self._declared.leave_with(self)
 
-    def next(self, timeout: float | None = None) -> Message:
+    def next(self, timeout: float | None = None) -> Message[T]:
         """Waits for the next message and returns it.
 
         `timeout` is in seconds; `None`, the default, waits without limit.
@@ -86,10 +93,10 @@ class Subscriber:
         except TimeoutError:
             raise TimedOut(f"message {self._description}", timeout or 0) from None
 
-    def __iter__(self) -> Iterator[Message]:
+    def __iter__(self) -> Iterator[Message[T]]:
         return self
 
-    def __next__(self) -> Message:
+    def __next__(self) -> Message[T]:
         try:
             return self._take(None)
         except Ended:
@@ -109,7 +116,7 @@ class Subscriber:
         """Ends the subscription. Messages that are already in the receive queue can still be read."""
         self._declared.end()
 
-    def __enter__(self) -> Subscriber:
+    def __enter__(self) -> Subscriber[T]:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -118,26 +125,35 @@ class Subscriber:
     def __repr__(self) -> str:
         return f"Subscriber({self._description}, dropped={self.dropped})"
 
-    def _take(self, timeout: float | None) -> Message:
+    def _take(self, timeout: float | None) -> Message[T]:
         """Waits for the next message that has not expired."""
         deadline = Deadline(timeout)
         while True:
-            message = undecoded(self._queue.pop(deadline.remaining()))
+            message: Message[T] = undecoded(self._queue.pop(deadline.remaining()))
             # Decoding may wait for a dictionary.
             if not message.is_expired and not self._decoded(message).is_expired:
                 return message
             self._session.counters.on_expired()
 
-    def _decoded(self, message: Message) -> Message:
+    def _decoded(self, message: Message[T]) -> Message[T]:
         """Decodes the payload of the message, or sets `problem`."""
         try:
             message.payload = self._session.decoder.payload(message.sender, message.payload)
         except CodecError as error:
             message.problem = error
+        return self.fitted(message)
+
+    def fitted(self, message: Message[T]) -> Message[T]:
+        """Converts the value of a decoded message to the type that the program has stated, or sets `problem`."""
+        if self._converter is not None:
+            if message.problem is None:
+                message.fit(self._converter)
+            if message.problem is not None:
+                self._session.problems.on_problem(message.sender, message.topic, message.problem)
         return message
 
 
-def undecoded(arrived: _Arrived) -> Message:
+def undecoded(arrived: _Arrived) -> Message[Any]:
     """Makes a message whose payload is not decoded yet."""
     metadata, payload, encoding, method = arrived
     return Message(metadata, Payload(payload, encoding), method)

@@ -1,18 +1,18 @@
 //! Creates the drivers that a program uses without a handle.
-use std::time::Duration;
+use std::time::{Duration, SystemTime};
 
 use pyo3::prelude::*;
 use rect_core::{
+    clock::unix::ms_since_1970,
     registry::{
         observer::{Observer, RouterObserver},
         RegistryQuery,
     },
-    session::peers::{DirectPresence, EstablishedWait, PeerWait, PeersQuery},
+    session::peers::{self, DirectPresence, EstablishedWait, PeerWait, PeersQuery},
 };
 
 use super::Driver;
 use crate::{
-    attachment::now_ms,
     clock::Clock,
     key_space::{name, KeySpace},
 };
@@ -21,6 +21,16 @@ use crate::{
 #[pyfunction]
 pub fn peers_query(key_space: &KeySpace) -> Driver {
     Driver::new(PeersQuery::new(key_space.0.clone()), &Clock::new())
+}
+
+/// Returns the description of a connection with a robot that is not among the reachable ones.
+#[pyfunction]
+pub fn expected_connection(robot: &str, reachable: Vec<String>) -> PyResult<String> {
+    let reachable = reachable
+        .iter()
+        .map(|robot| name(robot))
+        .collect::<PyResult<Vec<_>>>()?;
+    Ok(peers::expected_connection(&name(robot)?, &reachable))
 }
 
 /// Creates the wait until a robot is reachable.
@@ -46,7 +56,8 @@ pub fn established_wait(key_space: &KeySpace, timeout_s: f64) -> Driver {
 #[pyfunction]
 #[pyo3(signature = (key_space, id, unix_ms=None))]
 pub fn direct_presence(key_space: &KeySpace, id: &str, unix_ms: Option<u64>) -> Driver {
-    let (clock, unix_ms) = (Clock::new(), unix_ms.unwrap_or_else(now_ms));
+    let unix_ms = unix_ms.unwrap_or_else(|| ms_since_1970(SystemTime::now()));
+    let clock = Clock::new();
     let presence = DirectPresence::new(&key_space.0, id, unix_ms, clock.created_at());
     Driver::new(presence, &clock)
 }

@@ -66,7 +66,7 @@ fn programs_of_two_robots_communicate_over_ble_and_are_notified_of_the_link() {
         .expect("served");
     let mut answer = None;
     until("the service is known", || {
-        answer = two.request("wombat-1", "battery", "", DEADLINE).ok();
+        answer = two.request("wombat-1", "battery", "").ok();
         answer.is_some()
     });
     let volt: serde_json::Value = answer.expect("one").payload.value().expect("JSON");

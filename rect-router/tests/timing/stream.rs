@@ -10,7 +10,7 @@ use std::{
 };
 
 use crate::support::{joined, simulated, Air, Router, DEADLINE};
-use rect::{Encoding, Frame, Options, Payload, Robot, Stream, StreamOptions, Watch};
+use rect::{Encoding, Frame, Options, Payload, Robot, StreamOptions, StreamSender, Watcher};
 use rect_core::stream::ladder::{Coding, Step, PICTURES};
 use zenoh_link_ble_air::{AirOptions, LlPayload};
 
@@ -41,13 +41,13 @@ fn runtime() -> tokio::runtime::Runtime {
     tokio::runtime::Runtime::new().expect("a runtime")
 }
 
-async fn stream(sender: &Robot) -> Arc<Stream> {
+async fn stream(sender: &Robot) -> Arc<StreamSender> {
     let stream = sender.stream("camera", StreamOptions::default()).await;
     Arc::new(stream.expect("a stream"))
 }
 
 /// Sends frames at 20 Hz from a thread until the session ends, with sizes like those of photographs.
-fn camera(stream: Arc<Stream>) {
+fn camera(stream: Arc<StreamSender>) {
     thread::spawn(move || {
         let started = Instant::now();
         for n in 0.. {
@@ -76,7 +76,7 @@ fn picture(step: Step, n: u32) -> Payload {
 }
 
 /// Returns the frames that arrive within `lasts`.
-async fn frames(watch: &Watch, lasts: Duration) -> Vec<Frame> {
+async fn frames(watch: &Watcher, lasts: Duration) -> Vec<Frame> {
     let (started, mut frames) = (Instant::now(), Vec::new());
     while let Some(left) = lasts.checked_sub(started.elapsed()) {
         match tokio::time::timeout(left, watch.next()).await {
@@ -93,7 +93,7 @@ fn p99_of(mut values: Vec<Duration>) -> Duration {
     values[(values.len() * 99 / 100).min(values.len() - 1)]
 }
 
-async fn first(watch: &Watch) -> Frame {
+async fn first(watch: &Watcher) -> Frame {
     let frame = tokio::time::timeout(DEADLINE, watch.next()).await;
     frame.expect("in time").expect("the session lives")
 }
@@ -110,7 +110,7 @@ async fn one_camera([local, remote]: &[String; 2]) {
         joined("wombat-2", remote).await,
     );
     let stream = stream(&sender).await;
-    let watch = receiver.watch("wombat-1", "camera").await.expect("watched");
+    let watch = receiver.watch("wombat-1/camera").await.expect("watched");
     let begun = Instant::now();
     let ages: Arc<Mutex<Vec<Duration>>> = Arc::default();
     let received_ages = ages.clone();
@@ -184,8 +184,8 @@ async fn two_watchers([local, remote]: &[String; 2]) {
     let laptop = laptop.router(local).allow_name_mismatch().connect().await;
     let laptop = laptop.expect("joined");
     let stream = stream(&sender).await;
-    let slow = robot.watch("wombat-1", "camera").await.expect("watched");
-    let fast = laptop.watch("wombat-1", "camera").await.expect("watched");
+    let slow = robot.watch("wombat-1/camera").await.expect("watched");
+    let fast = laptop.watch("wombat-1/camera").await.expect("watched");
     camera(stream.clone());
     let begun = Instant::now();
     while first(&fast).await.payload.encoding != Encoding::PNG {

@@ -18,7 +18,7 @@ def test_two_python_programs_publish_request_stream_and_transfer(robots):
         rect.connect(one.name, router=one.endpoint()) as here,
         rect.connect(two.name, router=two.endpoint()) as there,
         there.receive_transfers("*/maps") as maps,
-        here.watch(two.name, "camera") as camera,
+        here.watch(f"{two.name}/camera") as camera,
         there.subscribe("*/hello") as greetings,
         there.subscribe("*/arm/*") as readings,
     ):
@@ -60,6 +60,6 @@ def publish_and_receive(publisher: rect.Robot, subscriber: rect.Subscriber, topi
     return subscriber.next(1)
 
 
-def send_and_receive_frame(stream: rect.Stream, picture: rect.Picture, camera: rect.Watch) -> rect.Frame:
+def send_and_receive_frame(stream: rect.StreamSender, picture: rect.Picture, camera: rect.Watcher) -> rect.Frame:
     stream.send(picture)
     return camera.next(1)

@@ -1,5 +1,4 @@
 //! Publishes what viewers send, and offers them services.
-use std::time::Duration;
 
 use foxglove::{
     websocket::{
@@ -8,9 +7,8 @@ use foxglove::{
     },
     Schema,
 };
-use rect::{Name, Payload, Robot, Topic};
+use rect::{Name, Payload, Robot, RobotTopic, Topic};
 use rect_core::text::display::line;
-use rect_dashboard::topics::RobotTopic;
 use rect_recording::view;
 use tokio::sync::mpsc::{self, Receiver, Sender};
 
@@ -20,8 +18,6 @@ use crate::Failure;
 const WAITING: usize = 64;
 /// The largest message of a viewer, in bytes.
 const MAX_BYTES: usize = 65_536;
-/// How long a service may take to answer a viewer.
-const TIMEOUT: Duration = Duration::from_secs(10);
 /// The first part of the topics on which viewers send messages to one robot.
 const TO: &str = "to/";
 
@@ -122,8 +118,8 @@ async fn answer(
     request: &Request,
 ) -> Result<Vec<u8>, Failure> {
     let payload = view::payload(request.payload())?;
-    let topic = Topic::new(&service.topic)?;
-    let asked = robot.request(service.robot.clone(), topic, payload, TIMEOUT);
+    let (asked, topic) = (service.robot.clone(), &service.topic);
+    let asked = robot.request(asked, topic, payload);
     let reply = asked.await?;
     Ok(view::object(&reply.payload).to_string().into_bytes())
 }

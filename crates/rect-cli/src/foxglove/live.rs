@@ -2,14 +2,14 @@
 use std::{
     collections::BTreeMap,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
-    time::{Duration, Instant},
+    time::{Duration, Instant, SystemTime},
 };
 
 use foxglove::{websocket::ConnectionGraph, ChannelBuilder, Context, RawChannel, Schema, SinkId};
 use rect::{Pattern, Robot, Subscriber};
-use rect_core::{message::encoding::Encoding, registry::topics::Topics};
+use rect_core::{clock::unix::since_1970, message::encoding::Encoding, registry::topics::Topics};
 use rect_recording::{
-    entry::{since_1970, Entry},
+    entry::Entry,
     inferred::Inferred,
     picture::{self, Kind},
     schema,
@@ -137,7 +137,7 @@ impl Live {
 
 async fn receive(subscriber: Subscriber, shown: Arc<Mutex<Shown>>) {
     while let Some(message) = subscriber.next().await {
-        lock(&shown).show(&Entry::of(message, since_1970()));
+        lock(&shown).show(&Entry::of(message, since_1970(SystemTime::now())));
     }
 }
 

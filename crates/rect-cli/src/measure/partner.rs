@@ -162,7 +162,10 @@ async fn request<T: DeserializeOwned>(
     value: impl ToPayload,
     timeout: Duration,
 ) -> Result<T, Failure> {
-    let reply = robot.request(other, service, value, timeout).await;
+    let reply = robot
+        .with_timeout(timeout)
+        .request(other, service, value)
+        .await;
     let reply = reply.map_err(|error| not_served(other, &error))?;
     Ok(reply.payload.value()?)
 }

@@ -4,10 +4,7 @@ use std::time::{Duration, Instant};
 use rect::{Name, Robot};
 use tokio::time::sleep;
 
-use super::{
-    not_served,
-    partner::{ECHO, TIMEOUT},
-};
+use super::{not_served, partner::ECHO};
 use crate::Failure;
 
 /// Size of a request, in bytes, similar to a command or a sensor value.
@@ -60,7 +57,7 @@ pub async fn measure_while(
     let mut measured = RoundTrips::default();
     while goes_on() {
         let asked = Instant::now();
-        let reply = urgent.request(other, ECHO, [0u8; PING_BYTES], TIMEOUT);
+        let reply = urgent.request(other, ECHO, [0u8; PING_BYTES]);
         match reply.await {
             Ok(_) => measured
                 .times_ms

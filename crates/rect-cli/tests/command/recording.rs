@@ -433,13 +433,13 @@ fn requests_are_recorded_at_the_service() {
         Ok::<_, String>(Json(numbers.iter().sum::<f64>()))
     };
     let _service = robot.serve("sum", sum).expect("a service");
-    let reply = asking.request("wombat-1", "sum", Json([1, 2]), TIMEOUT);
+    let reply = asking.request("wombat-1", "sum", Json([1, 2]));
     let sum: f64 = reply.expect("a reply").payload.value().expect("a number");
     assert_eq!(sum, 3.0);
-    let large = asking.request("wombat-1", "sum", vec![7; 5000], TIMEOUT);
+    let large = asking.request("wombat-1", "sum", vec![7; 5000]);
     assert!(large.is_err());
     // A recorder does not count as a service.
-    let nobody = asking.request("wombat-1", "difference", "now", TIMEOUT);
+    let nobody = asking.request("wombat-1", "difference", "now");
     assert!(
         matches!(nobody, Err(rect::Error::NoService { .. })),
         "{nobody:?}"
@@ -531,7 +531,7 @@ async fn a_recording_of_a_video_begins_with_a_key_frame() {
         }
     });
     // The video runs already.
-    let watch = two.watch("wombat-1", "camera").await.expect("watched");
+    let watch = two.watch("wombat-1/camera").await.expect("watched");
     while watch.next().await.expect("open").number < 10 {}
     let folder = tempfile::tempdir().expect("a folder");
     let options = RecordOptions {

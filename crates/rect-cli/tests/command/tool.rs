@@ -128,7 +128,7 @@ fn serve_replies_with_program_output_or_failure() {
     let asked = |topic: &str| {
         let deadline = Instant::now() + TIMEOUT;
         loop {
-            match a.request("b", topic, "hello", TIMEOUT) {
+            match a.request("b", topic, "hello") {
                 Err(rect::Error::NoService { .. }) if Instant::now() < deadline => {}
                 answer => break answer,
             }
@@ -159,7 +159,7 @@ fn serve_passes_large_requests_to_programs_that_read_and_write_at_once() {
     let asked = |topic: &str| {
         let deadline = Instant::now() + TIMEOUT;
         loop {
-            match a.request("b", topic, large.as_str(), TIMEOUT) {
+            match a.request("b", topic, large.as_str()) {
                 Err(rect::Error::NoService { .. }) if Instant::now() < deadline => {}
                 answer => break answer.expect("a reply").payload,
             }
@@ -183,7 +183,7 @@ fn serve_ends_a_program_that_never_reads_at_the_timeout() {
     let deadline = Instant::now() + TIMEOUT;
     let pid = loop {
         // Fails at once until the service is discovered, and then at the timeout.
-        let _ = a.request("b", "stuck", large.as_str(), Duration::from_secs(1));
+        let _ = a.request("b", "stuck", large.as_str());
         let pid = std::fs::read_to_string(&file).unwrap_or_default();
         if pid.ends_with('\n') {
             break pid;
@@ -308,7 +308,7 @@ fn stream_send_publishes_pictures() {
             .spawn()
             .expect("started"),
     );
-    let mut watch = a.watch("b", "camera").expect("watched");
+    let mut watch = a.watch("b/camera").expect("watched");
     let frame = watch.next_timeout(TIMEOUT).expect("in time");
     let shown = frame
         .payload

@@ -9,7 +9,10 @@
 //! | 6 | with flags 1 and 2: the same time of the message of a recording that this one repeats |
 //! | 2 | with flag 2 alone: the low 16 bits of that time; for frames of a stream, of which only the age matters |
 //! | 1 to 5 | with flag 4: the time in milliseconds after which the message expires, LEB128 |
-use std::ops::Deref;
+use std::{
+    ops::Deref,
+    time::{Duration, SystemTime, UNIX_EPOCH},
+};
 
 const MARK: u8 = 0xF8;
 const TIME: u8 = 1;
@@ -38,6 +41,18 @@ pub enum Sent {
     Low(u16),
     /// The message repeats one of a recording, which was sent at this time: milliseconds since 1970, 48 bits.
     Replayed(u64),
+}
+
+impl Sent {
+    /// Returns the whole time. `None` if the attachment does not contain it.
+    pub(super) fn at(self) -> Option<SystemTime> {
+        match self {
+            Self::At(at_ms) | Self::Replayed(at_ms) => {
+                UNIX_EPOCH.checked_add(Duration::from_millis(at_ms))
+            }
+            Self::Low(_) | Self::Unknown => None,
+        }
+    }
 }
 
 /// The metadata that is sent with the payload of a message.

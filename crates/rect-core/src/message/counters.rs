@@ -21,6 +21,8 @@ pub struct Counters {
     /// Messages of other Zenoh programs that were dropped because RECT does not allow their topic (control characters,
     /// more than 200 bytes, reserved parts).
     pub rejected: u64,
+    /// Messages and requests whose value does not fit the type that the program states.
+    pub problems: u64,
 }
 
 /// Counters that any thread can update.
@@ -33,6 +35,7 @@ pub struct AtomicCounters {
     missed: AtomicU64,
     expired: AtomicU64,
     rejected: AtomicU64,
+    problems: AtomicU64,
 }
 
 impl AtomicCounters {
@@ -64,6 +67,11 @@ impl AtomicCounters {
         add(&self.rejected, 1);
     }
 
+    /// Counts a value that does not fit its type.
+    pub fn on_problem(&self) {
+        add(&self.problems, 1);
+    }
+
     /// Returns the current values.
     pub fn read(&self) -> Counters {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
@@ -75,6 +83,7 @@ impl AtomicCounters {
             missed: read(&self.missed),
             expired: read(&self.expired),
             rejected: read(&self.rejected),
+            problems: read(&self.problems),
         }
     }
 }

@@ -1,4 +1,5 @@
-//! Defines [`Topic`], the subject of a message, and [`Pattern`], which subscriptions match against.
+//! Defines [`Topic`], the subject of a message, [`RobotTopic`], that of one robot, and [`Pattern`], which subscriptions match
+//! against.
 use std::{fmt, str::FromStr, sync::Arc};
 
 use zenoh_keyexpr::{canon::Canonize, keyexpr};
@@ -23,6 +24,15 @@ pub(super) const TO: &str = "to";
 /// ```
 #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Topic(Arc<str>);
+
+/// A topic of one robot; as text, `<robot>/<topic>`: `wombat-2/camera`.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct RobotTopic {
+    /// The robot.
+    pub robot: Name,
+    /// The topic.
+    pub topic: Topic,
+}
 
 /// Selects messages by sender and topic.
 ///
@@ -85,7 +95,10 @@ pub enum TopicError {
         "{0:?} is not a pattern: write `<robot>/<topic>`, such as `wombat-2/arm/angle` or `*/arm/*`"
     )]
     Pattern(String),
-    /// The robot of the pattern is not a valid name.
+    /// The text is not of the form `<robot>/<topic>`.
+    #[error("{0:?} is not a topic of a robot: write `<robot>/<topic>`, such as `wombat-2/camera`")]
+    RobotTopic(String),
+    /// The robot of the text is not a valid name.
     #[error(transparent)]
     Robot(#[from] NameError),
 }
@@ -112,6 +125,21 @@ impl Topic {
     /// Returns the topic as text.
     pub fn as_str(&self) -> &str {
         &self.0
+    }
+}
+
+impl RobotTopic {
+    /// Parses `<robot>/<topic>`.
+    ///
+    /// # Errors
+    /// Returns a [`TopicError`] that explains why the text is not a topic of a robot.
+    pub fn new(text: &str) -> Result<Self, TopicError> {
+        let no_topic = || TopicError::RobotTopic(text.chars().take(MAX_BYTES).collect());
+        let (robot, topic) = text.split_once('/').ok_or_else(no_topic)?;
+        Ok(Self {
+            robot: Name::new(robot)?,
+            topic: Topic::new(topic)?,
+        })
     }
 }
 
@@ -214,6 +242,36 @@ impl TryFrom<&Topic> for Topic {
     }
 }
 
+impl FromStr for RobotTopic {
+    type Err = TopicError;
+
+    fn from_str(text: &str) -> Result<Self, TopicError> {
+        Self::new(text)
+    }
+}
+
+impl TryFrom<&str> for RobotTopic {
+    type Error = TopicError;
+
+    fn try_from(text: &str) -> Result<Self, TopicError> {
+        Self::new(text)
+    }
+}
+
+impl TryFrom<&RobotTopic> for RobotTopic {
+    type Error = TopicError;
+
+    fn try_from(topic: &RobotTopic) -> Result<Self, TopicError> {
+        Ok(topic.clone())
+    }
+}
+
+impl fmt::Display for RobotTopic {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.robot, self.topic)
+    }
+}
+
 impl FromStr for Pattern {
     type Err = TopicError;
 
@@ -303,6 +361,17 @@ mod tests {
         }
         for good in ["日本/角度", "a\u{200d}b", "é", "arm angle"] {
             assert!(Topic::new(good).is_ok(), "{good}");
+        }
+    }
+
+    #[test]
+    fn the_topic_of_a_robot_has_no_wildcards() {
+        let topic = RobotTopic::new("wombat-2/arm/angle").expect("good");
+        assert_eq!(topic.robot.as_str(), "wombat-2");
+        assert_eq!(topic.topic.as_str(), "arm/angle");
+        assert_eq!(topic.to_string(), "wombat-2/arm/angle");
+        for bad in ["", "camera", "a/", "/camera", "*/camera", "a/*", "a/@rect"] {
+            assert!(RobotTopic::new(bad).is_err(), "{bad}");
         }
     }
 

@@ -32,6 +32,16 @@ const TOKENS: Id = Id(1);
 const OWN_TOKEN: Id = Id(0);
 const OWN_CLOCK: Id = Id(1);
 
+/// Returns the description of a connection with `robot`, for which a program has waited in vain, and of what there is instead.
+pub fn expected_connection(robot: &Name, reachable: &[Name]) -> String {
+    let names: Vec<&str> = reachable.iter().map(Name::as_str).collect();
+    let names = match names.as_slice() {
+        [] => "none".to_owned(),
+        names => names.join(", "),
+    };
+    format!("connection with {robot} (reachable robots: {names})")
+}
+
 /// Returns the key expression of the liveliness tokens of `robot`, or of all robots (`None`).
 pub fn tokens(place: &KeySpace, robot: Option<&Name>) -> String {
     place.own(robot, ALIVE)

@@ -2,14 +2,14 @@
 use std::{sync::Arc, time::Duration};
 
 use super::{Robot, Runtime};
-use crate::{session, Error, Frame, Name, QueueOptions, Stream, StreamOptions, Topic};
+use crate::{session, Error, Frame, QueueOptions, RobotTopic, StreamOptions, StreamSender, Topic};
 
 /// Receives the frames of a stream; created by [`Robot::watch`].
 ///
 /// The iterator blocks until the next frame, by default the newest one, and ends when the session is closed.
 #[derive(Debug)]
-pub struct Frames {
-    watch: session::Watch,
+pub struct Watcher {
+    watcher: session::Watcher,
     runtime: Arc<Runtime>,
 }
 
@@ -29,18 +29,18 @@ impl Robot {
         &self,
         topic: T,
         options: StreamOptions,
-    ) -> Result<Stream, Error>
+    ) -> Result<StreamSender, Error>
     where
         Error: From<T::Error>,
     {
         self.runtime.wait(self.robot.stream(topic, options))
     }
 
-    /// Receives the stream `topic` of `robot`. Only the newest frame is kept until the program reads it.
+    /// Receives a stream, `<robot>/<topic>`. Only the newest frame is kept until the program reads it.
     ///
     /// ```no_run
     /// # fn watch(robot: rect::blocking::Robot) -> Result<(), rect::Error> {
-    /// for frame in robot.watch("wombat-2", "camera")? {
+    /// for frame in robot.watch("wombat-2/camera")? {
     ///     println!("frame {}, {:?} old, {} skipped", frame.number, frame.age, frame.skipped);
     /// }
     /// # Ok(()) }
@@ -48,71 +48,66 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::watch`].
-    pub fn watch<N: TryInto<Name>, T: TryInto<Topic>>(
-        &self,
-        robot: N,
-        topic: T,
-    ) -> Result<Frames, Error>
+    pub fn watch<T: TryInto<RobotTopic>>(&self, stream: T) -> Result<Watcher, Error>
     where
-        Error: From<N::Error> + From<T::Error>,
+        Error: From<T::Error>,
     {
-        let watch = self.runtime.wait(self.robot.watch(robot, topic))?;
-        Ok(self.frames(watch))
+        let watcher = self.runtime.wait(self.robot.watch(stream))?;
+        Ok(self.watcher(watcher))
     }
 
-    /// Receives the stream `topic` of `robot`, with other settings of the receive queue.
+    /// Receives a stream with other settings of the receive queue.
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::watch_with`].
-    pub fn watch_with<N: TryInto<Name>, T: TryInto<Topic>>(
+    pub fn watch_with<T: TryInto<RobotTopic>>(
         &self,
-        robot: N,
-        topic: T,
+        stream: T,
         queue: QueueOptions,
-    ) -> Result<Frames, Error>
+    ) -> Result<Watcher, Error>
     where
-        Error: From<N::Error> + From<T::Error>,
+        Error: From<T::Error>,
     {
-        let watched = self.robot.watch_with(robot, topic, queue);
-        let watch = self.runtime.wait(watched)?;
-        Ok(self.frames(watch))
+        let watched = self.robot.watch_with(stream, queue);
+        let watcher = self.runtime.wait(watched)?;
+        Ok(self.watcher(watcher))
     }
 
-    fn frames(&self, watch: session::Watch) -> Frames {
+    fn watcher(&self, watcher: session::Watcher) -> Watcher {
         let runtime = self.runtime.clone();
-        Frames { watch, runtime }
+        Watcher { watcher, runtime }
     }
 }
 
-impl Frames {
-    /// Leaves video undecoded: see [`crate::Watch::undecoded`].
+impl Watcher {
+    /// Leaves video undecoded: see [`crate::Watcher::undecoded`].
     #[must_use]
     pub fn undecoded(self) -> Self {
-        let watch = self.watch.undecoded();
-        Self { watch, ..self }
+        let watcher = self.watcher.undecoded();
+        Self { watcher, ..self }
     }
 
-    /// Asks the sender of a video for a key frame: see [`crate::Watch::ask_for_key_frame`].
+    /// Asks the sender of a video for a key frame: see [`crate::Watcher::ask_for_key_frame`].
     pub fn ask_for_key_frame(&self) {
-        self.watch.ask_for_key_frame();
+        self.watcher.ask_for_key_frame();
     }
 
     /// Blocks until the next frame; returns `None` if none arrives within `timeout`, or if the session is closed.
     pub fn next_timeout(&mut self, timeout: Duration) -> Option<Frame> {
-        let next = async { tokio::time::timeout(timeout, self.watch.next()).await };
+        let next = async { tokio::time::timeout(timeout, self.watcher.next()).await };
         self.runtime.wait(next).ok().flatten()
     }
 
     /// Returns the round trip of a small message to the sender; `None` until the first one has been measured.
     pub fn round_trip(&self) -> Option<Duration> {
-        self.watch.round_trip()
+        self.watcher.round_trip()
     }
 }
 
-impl Iterator for Frames {
+impl Iterator for Watcher {
     type Item = Frame;
 
     fn next(&mut self) -> Option<Frame> {
-        self.runtime.wait(self.watch.next())
+        self.runtime.wait(self.watcher.next())
     }
 }

@@ -1,8 +1,5 @@
 //! Converts between Zenoh's types and those of the core.
-use std::{
-    any::Any,
-    time::{SystemTime, UNIX_EPOCH},
-};
+use std::any::Any;
 
 use bytes::Bytes;
 use rect_core::{
@@ -80,12 +77,6 @@ pub(super) fn reply(reply: zenoh::query::Reply) -> Result<Sample, Payload> {
         Ok(received) => Ok(sample(received)),
         Err(error) => Err(payload(error.payload(), error.encoding())),
     }
-}
-
-/// Returns the time of this computer's clock, in milliseconds since 1970.
-pub(super) fn now_ms() -> u64 {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH);
-    since.map_or(0, |since| u64::try_from(since.as_millis()).unwrap_or(0))
 }
 
 fn owned(bytes: &ZBytes) -> Bytes {

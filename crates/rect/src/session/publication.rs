@@ -2,10 +2,11 @@
 use std::{
     collections::VecDeque,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
-    time::Duration,
+    time::{Duration, SystemTime},
 };
 
 use rect_core::{
+    clock::unix::ms_since_1970,
     message::{
         attachment::Sent, counters::AtomicCounters, encoding::Encoding, payload::Payload,
         urgency::Qos,
@@ -15,10 +16,7 @@ use rect_core::{
 use tokio::{runtime::Handle, sync::oneshot, task};
 use zenoh::{bytes::Encoding as ZenohEncoding, pubsub::Publisher, Session, Wait};
 
-use super::{
-    convert::{attachment, now_ms},
-    queries,
-};
+use super::{convert::attachment, queries};
 use crate::error::Error;
 
 /// One topic's publisher. Its messages are sent one after the other, in the order of their numbers.
@@ -142,7 +140,10 @@ impl Publication {
             lifetime,
         } = outgoing;
         let bytes = payload.bytes.len();
-        let sent = recorded_ms.map_or_else(|| Sent::At(now_ms()), Sent::Replayed);
+        let sent = recorded_ms.map_or_else(
+            || Sent::At(ms_since_1970(SystemTime::now())),
+            Sent::Replayed,
+        );
         let mut state = self.state();
         if state.encoding.0 != payload.encoding {
             let same = ZenohEncoding::from(payload.encoding.as_str());

@@ -5,7 +5,6 @@ use std::{
     pin::pin,
     sync::Arc,
     task::{Context, Waker},
-    time::Duration,
 };
 
 use rect_core::{
@@ -51,15 +50,14 @@ impl Robot {
     ///
     /// ```no_run
     /// # async fn request(robot: rect::Robot) -> Result<(), rect::Error> {
-    /// let timeout = std::time::Duration::from_secs(1);
-    /// let reply = robot.request("wombat-2", "battery", "", timeout).await?;
+    /// let reply = robot.request("wombat-2", "battery", "").await?;
     /// let volts: f64 = reply.payload.value()?;
     /// # Ok(()) }
     /// ```
     ///
     /// # Errors
     /// [`Error::Service`] if the service replies with an error, [`Error::NoService`] if no program at `robot` serves
-    /// the topic, [`Error::TimedOut`] if no reply arrives within `timeout`; [`Error::Name`], [`Error::Topic`] or
+    /// the topic, [`Error::TimedOut`] if no reply arrives in time ([`with_timeout`](Self::with_timeout)); [`Error::Name`], [`Error::Topic`] or
     /// [`Error::Payload`] if an argument is invalid; [`Error::Codec`] if the codec of this handle does not support the
     /// value or the reply cannot be decoded; [`Error::Closed`] if the session is closed.
     ///
@@ -71,7 +69,6 @@ impl Robot {
         robot: N,
         topic: T,
         value: impl ToPayload,
-        timeout: Duration,
     ) -> Result<Reply, Error>
     where
         Error: From<N::Error> + From<T::Error>,
@@ -79,7 +76,7 @@ impl Robot {
         let robot = robot.try_into()?;
         let topic = topic.try_into()?;
         let (asked, service) = (robot.to_string(), topic.to_string());
-        let mut replies = self.query(Some(robot), topic, value, timeout).await?;
+        let mut replies = self.query(Some(robot), topic, value).await?;
         match replies.next().await {
             Some(reply) => reply,
             None => Err(self.no_service(asked, service).await),
@@ -87,12 +84,11 @@ impl Robot {
     }
 
     /// Sends a request to the service `topic` of all robots that provide it. Replies arrive until all services have replied
-    /// or `timeout` has expired.
+    /// or the time is up ([`with_timeout`](Self::with_timeout)).
     ///
     /// ```no_run
     /// # async fn request(robot: rect::Robot) -> Result<(), rect::Error> {
-    /// let timeout = std::time::Duration::from_secs(1);
-    /// let mut replies = robot.request_all("battery", "", timeout).await?;
+    /// let mut replies = robot.request_all("battery", "").await?;
     /// while let Some(reply) = replies.next().await {
     ///     match reply {
     ///         Ok(reply) => println!("{}: {:?}", reply.sender, reply.payload),
@@ -112,12 +108,11 @@ impl Robot {
         &self,
         topic: T,
         value: impl ToPayload,
-        timeout: Duration,
     ) -> Result<Replies, Error>
     where
         Error: From<T::Error>,
     {
-        self.query(None, topic.try_into()?, value, timeout).await
+        self.query(None, topic.try_into()?, value).await
     }
 
     async fn query(
@@ -125,9 +120,8 @@ impl Robot {
         robot: Option<Name>,
         topic: Topic,
         value: impl ToPayload,
-        timeout: Duration,
     ) -> Result<Replies, Error> {
-        let inquiry = Inquiry::new(self.inner.place.clone(), robot, topic, timeout);
+        let inquiry = Inquiry::new(self.inner.place.clone(), robot, topic, self.timeout);
         let get = inquiry.get(self.payload(value)?, self.urgency());
         let queue = ReceiveQueue::new(Queue::new(MAX_REPLIES, WhenFull::Block));
         let cancellation = CancellationToken::default();

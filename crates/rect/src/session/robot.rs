@@ -2,14 +2,16 @@
 use std::{
     fmt,
     sync::{Arc, Mutex, MutexGuard, PoisonError},
-    time::{Duration, Instant},
+    time::{Duration, Instant, SystemTime},
 };
 
 use rect_core::{
+    clock::unix::ms_since_1970,
     codec::{dictionary::Dictionary, dictionary_codec::DictionaryCodec, Codec},
     message::{
         counters::AtomicCounters,
         payload::{Payload, ToPayload},
+        request::DEFAULT_TIMEOUT_MS,
         urgency::Urgency,
     },
     name::{key::KeySpace, topic::Topic, Name},
@@ -22,7 +24,6 @@ use tokio::runtime::Handle;
 use zenoh::{Config, Session};
 
 use super::{
-    convert::now_ms,
     decoder::Decoder,
     executor::{Executor, Running},
     publication::{Publication, Put},
@@ -43,6 +44,7 @@ pub struct Robot {
     codec: Option<Arc<dyn Codec>>,
     /// The time after which messages expire.
     lifetime: Option<Duration>,
+    pub(super) timeout: Duration,
 }
 
 pub(super) struct Inner {
@@ -70,7 +72,12 @@ impl Robot {
         let direct = router.is_none();
         let (presence, router_links) = if direct {
             let id = session.zid().to_string();
-            let presence = DirectPresence::new(&place, &id, now_ms(), Instant::now());
+            let presence = DirectPresence::new(
+                &place,
+                &id,
+                ms_since_1970(SystemTime::now()),
+                Instant::now(),
+            );
             let executor = Executor::new(&session, presence, NoItems);
             (Some(executor.start(&Handle::current())?), None)
         } else {
@@ -95,6 +102,7 @@ impl Robot {
             urgency: Urgency::default(),
             codec: None,
             lifetime: None,
+            timeout: Duration::from_millis(DEFAULT_TIMEOUT_MS.into()),
         })
     }
 
@@ -139,6 +147,22 @@ impl Robot {
     #[must_use]
     pub fn bulk(&self) -> Self {
         self.with_urgency(Urgency::Bulk)
+    }
+
+    /// Returns a handle whose requests wait for replies for that time. Default: 10 s.
+    ///
+    /// ```no_run
+    /// # async fn request(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let patient = robot.with_timeout(std::time::Duration::from_secs(60));
+    /// let reply = patient.request("wombat-2", "map", "").await?;
+    /// # Ok(()) }
+    /// ```
+    #[must_use]
+    pub fn with_timeout(&self, timeout: Duration) -> Self {
+        Self {
+            timeout,
+            ..self.clone()
+        }
     }
 
     /// Returns a handle whose messages expire: they are dropped rather than delivered later than this after they were sent. For

@@ -1,7 +1,7 @@
-//! Connects streams to Zenoh: [`Stream`] sends, [`Watch`] receives. Their logic is in [`rect_core::stream`].
+//! Connects streams to Zenoh: [`StreamSender`] sends, [`Watcher`] receives. Their logic is in [`rect_core::stream`].
 mod receiver;
 mod sender;
 
-pub use receiver::Watch;
+pub use receiver::Watcher;
 pub use rect_core::stream::frame::Frame;
-pub use sender::Stream;
+pub use sender::StreamSender;

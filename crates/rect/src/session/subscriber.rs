@@ -205,32 +205,31 @@ impl Robot {
         Ok(Subscription::of(task))
     }
 
-    /// Waits for the next message of `robot` on `topic`, published or sent to this robot only. Messages that were sent before
-    /// the call are not received.
+    /// Waits for the next message that matches `pattern`, published or sent to this robot only. Messages that were sent before the
+    /// call are not received.
     ///
     /// ```no_run
     /// # async fn wait(robot: rect::Robot) -> Result<(), rect::Error> {
     /// let timeout = std::time::Duration::from_secs(10);
-    /// let ready = robot.wait_for_message("wombat-2", "ready", timeout).await?;
+    /// let ready = robot.wait_for_message("wombat-2/ready", timeout).await?;
     /// # Ok(()) }
     /// ```
     ///
     /// # Errors
-    /// [`Error::TimedOut`] if no message arrives within `timeout`; [`Error::Name`] or [`Error::Topic`] if an argument is
-    /// invalid; [`Error::Closed`] if the session is closed.
+    /// [`Error::TimedOut`] if no message arrives within `timeout`; [`Error::Topic`] if the pattern is invalid;
+    /// [`Error::Closed`] if the session is closed.
     ///
     /// # Cancel safety
     /// Dropping the future ends the subscription. A message that has arrived is lost with it.
-    pub async fn wait_for_message<N: TryInto<Name>>(
+    pub async fn wait_for_message<P: TryInto<Pattern>>(
         &self,
-        robot: N,
-        topic: &str,
+        pattern: P,
         timeout: Duration,
     ) -> Result<Message, Error>
     where
-        Error: From<N::Error>,
+        Error: From<P::Error>,
     {
-        let pattern = Pattern::of(Some(robot.try_into()?), topic)?;
+        let pattern = pattern.try_into()?;
         let expected = format!("message {pattern}");
         let subscriber = self.subscribed(&pattern, QueueOptions::default())?;
         match tokio::time::timeout(timeout, subscriber.next()).await {

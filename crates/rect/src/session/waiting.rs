@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 use rect_core::{
     driver::Driver,
     name::Name,
-    session::peers::{EstablishedWait, PeerWait, Waited},
+    session::peers::{expected_connection, EstablishedWait, PeerWait, Waited},
 };
 
 use super::{executor::Executor, robot::Robot, shared::NoItems};
@@ -23,7 +23,7 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Error::TimedOut`] if the robot is not reachable within `timeout`; [`Error::Name`] if the name is invalid;
+    /// [`Error::TimedOut`] if the robot is not reachable within `timeout`, with the names of those that are; [`Error::Name`] if the name is invalid;
     /// [`Error::Closed`] if the session is closed.
     ///
     /// # Cancel safety
@@ -38,8 +38,14 @@ impl Robot {
     {
         let robot = robot.try_into()?;
         let wait = PeerWait::new(&self.inner.place, &robot, Instant::now(), timeout);
-        self.wait(wait, format!("connection with {robot}"), timeout)
-            .await
+        match self.wait(wait, String::new(), timeout).await {
+            Err(Error::TimedOut { timeout, .. }) => {
+                let reachable = self.peers().await.unwrap_or_default();
+                let expected = expected_connection(&robot, &reachable);
+                Err(Error::TimedOut { expected, timeout })
+            }
+            waited => waited,
+        }
     }
 
     /// Waits until every reachable router knows the subscriptions and services of this program, so that messages and

@@ -25,7 +25,7 @@ fn two_robots() -> [Robot; 2] {
 #[test]
 fn frames_iterator_yields_frames_until_close() {
     let [a, b] = two_robots();
-    let mut frames = b.watch("a", "distance").expect("watched");
+    let mut frames = b.watch("a/distance").expect("watched");
     let stream = a
         .stream("distance", StreamOptions::sensor())
         .expect("declared");

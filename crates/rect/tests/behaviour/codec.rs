@@ -160,7 +160,7 @@ async fn requests_and_replies_are_decoded() {
     let encoded = b.with_codec(parse("zstd").expect("a codec"));
     let asked = async {
         loop {
-            match encoded.request("a", "echo", reading(1), TIMEOUT).await {
+            match encoded.request("a", "echo", reading(1)).await {
                 Err(rect::Error::NoService { .. }) => {}
                 answer => break answer,
             }
@@ -169,10 +169,7 @@ async fn requests_and_replies_are_decoded() {
     let reply = asked.await.expect("a reply");
     assert_eq!(reply.payload.value::<Value>().expect("JSON"), reading(1));
     let damaged = Payload::new("no zstd", Encoding::JSON.with_suffix("zstd"));
-    let error = b
-        .request("a", "echo", damaged, TIMEOUT)
-        .await
-        .expect_err("damaged");
+    let error = b.request("a", "echo", damaged).await.expect_err("damaged");
     assert!(error.to_string().contains("zstd"), "{error}");
 }
 

@@ -84,7 +84,7 @@ fn blocking_api_publishes_requests_and_reports_events() {
     });
     let _service = service.expect("served");
     let ask = |value: f64| loop {
-        match b.request("a", "double", Json(value), TIMEOUT) {
+        match b.request("a", "double", Json(value)) {
             Err(rect::Error::NoService { .. }) => thread::sleep(Duration::from_millis(5)),
             answer => break answer,
         }
@@ -112,7 +112,7 @@ fn blocking_api_publishes_requests_and_reports_events() {
         }
     });
     assert_eq!(messages.next().expect("open").topic.as_str(), "beat");
-    assert!(b.wait_for_message("a", "beat", TIMEOUT).is_ok());
+    assert!(b.wait_for_message("a/beat", TIMEOUT).is_ok());
     stop.send(()).expect("the thread runs");
     publishing.join().expect("no panic");
     b.close().expect("closed");

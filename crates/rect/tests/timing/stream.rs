@@ -8,7 +8,9 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::{Encoding, Frame, Payload, QueueOptions, Stream, StreamOptions, Watch, WhenFull};
+use rect::{
+    Encoding, Frame, Payload, QueueOptions, StreamOptions, StreamSender, Watcher, WhenFull,
+};
 use rect_core::{
     codec::picture::{Format, Picture},
     stream::ladder::{Coding, Step, PICTURES},
@@ -23,11 +25,11 @@ const PIXELS: usize = 160 * 120;
 struct Camera {
     /// Number of frames encoded so far.
     encoded: Arc<AtomicUsize>,
-    stream: Arc<Stream>,
+    stream: Arc<StreamSender>,
     task: tokio::task::JoinHandle<()>,
 }
 
-fn camera(stream: Stream) -> Camera {
+fn camera(stream: StreamSender) -> Camera {
     let (stream, encoded) = (Arc::new(stream), Arc::new(AtomicUsize::new(0)));
     let (sender, count) = (stream.clone(), encoded.clone());
     let task = tokio::spawn(async move {
@@ -64,7 +66,7 @@ fn picture(step: Step) -> Payload {
     Payload::new(vec![7; (PIXELS as f64 * share * area) as usize], encoding)
 }
 
-async fn next(watch: &Watch) -> Frame {
+async fn next(watch: &Watcher) -> Frame {
     let frame = tokio::time::timeout(TIMEOUT, watch.next()).await;
     frame.expect("a frame in time").expect("open")
 }
@@ -73,7 +75,7 @@ async fn next(watch: &Watch) -> Frame {
 async fn sensor_frames_arrive_unchanged_with_number_and_age() {
     let (one, two) = pair("wombat-1", "wombat-2").await;
     let watch = two
-        .watch_with("wombat-1", "distance", rect::QueueOptions::default())
+        .watch_with("wombat-1/distance", rect::QueueOptions::default())
         .await
         .expect("watched");
     let stream = one
@@ -111,7 +113,7 @@ async fn adaptive_stream_becomes_lossless_on_a_fast_link_and_reports_the_reason(
     let camera = camera(stream);
     tokio::time::sleep(Duration::from_millis(300)).await;
     assert_eq!(camera.encoded.load(Ordering::Relaxed), 0, "no receiver");
-    let watch = two.watch("wombat-1", "camera").await.expect("watched");
+    let watch = two.watch("wombat-1/camera").await.expect("watched");
     let begun = Instant::now();
     let mut last = next(&watch).await;
     while last.payload.encoding != Encoding::PNG {
@@ -149,7 +151,7 @@ async fn adaptive_stream_becomes_lossless_on_a_fast_link_and_reports_the_reason(
 #[tokio::test(flavor = "multi_thread")]
 async fn slow_reader_gets_the_newest_frame_and_the_number_of_skipped_ones() {
     let (one, two) = pair("wombat-1", "wombat-2").await;
-    let watch = two.watch("wombat-1", "camera").await.expect("watched");
+    let watch = two.watch("wombat-1/camera").await.expect("watched");
     let camera = camera(
         one.stream("camera", StreamOptions::default())
             .await
@@ -184,7 +186,7 @@ async fn streams_interoperate_with_stock_zenoh_programs() {
     assert_eq!(sample.encoding().to_string(), "image/jpeg");
     drop(camera);
 
-    let watch = one.watch("wombat-2", "stock").await.expect("watched");
+    let watch = one.watch("wombat-2/stock").await.expect("watched");
     let begun = Instant::now();
     let frame = loop {
         two.zenoh()
@@ -204,7 +206,7 @@ async fn streams_interoperate_with_stock_zenoh_programs() {
 }
 
 /// A camera at 20 Hz whose picture moves, sent as video. Dropping it stops the camera.
-fn video_camera(stream: Stream) -> Camera {
+fn video_camera(stream: StreamSender) -> Camera {
     let (stream, encoded) = (Arc::new(stream), Arc::new(AtomicUsize::new(0)));
     let (sender, count) = (stream.clone(), encoded.clone());
     let task = tokio::spawn(async move {
@@ -244,7 +246,7 @@ async fn video_arrives_decoded_or_as_it_was_sent() {
     let (one, two) = pair("wombat-1", "wombat-2").await;
     let options = StreamOptions::video();
     let camera = video_camera(one.stream("camera", options).await.expect("a stream"));
-    let watch = two.watch("wombat-1", "camera").await.expect("watched");
+    let watch = two.watch("wombat-1/camera").await.expect("watched");
     for _ in 0..10 {
         let frame = next(&watch).await;
         let picture = frame.payload.picture(&rect_core::codec::Limits::default());
@@ -253,7 +255,7 @@ async fn video_arrives_decoded_or_as_it_was_sent() {
         assert!(frame.sent_bytes < 19_200 / 4, "{}", frame.sent_bytes);
     }
     // A receiver that comes later begins with a key frame, which it asks for, and then misses none.
-    let late = two.watch_with("wombat-1", "camera", EVERY_FRAME).await;
+    let late = two.watch_with("wombat-1/camera", EVERY_FRAME).await;
     let late = late.expect("watched").undecoded();
     let first = next(&late).await;
     assert_eq!(first.payload.encoding, Encoding::H264);
@@ -287,7 +289,7 @@ async fn ten_receivers_share_one_video_and_its_key_frames() {
     let camera = video_camera(one.stream("camera", options).await.expect("a stream"));
     let mut watches = Vec::new();
     for _ in 0..10 {
-        let watch = two.watch_with("wombat-1", "camera", EVERY_FRAME).await;
+        let watch = two.watch_with("wombat-1/camera", EVERY_FRAME).await;
         watches.push(watch.expect("watched").undecoded());
     }
     for watch in &watches {

@@ -7,7 +7,7 @@ use std::{
 
 use rect_core::{
     message::queue::{Queue, WhenFull},
-    name::{topic::Topic, Name},
+    name::topic::RobotTopic,
     stream::{
         frame::{Frame, ReceivedFrame},
         read::FrameReader,
@@ -26,20 +26,20 @@ use crate::{
 };
 
 /// Receives a stream of another robot; created by [`Robot::watch`]. Dropping it ends the subscription.
-pub struct Watch {
+pub struct Watcher {
     queue: Arc<ReceiveQueue<ReceivedFrame>>,
     reader: Mutex<FrameReader>,
     running: Running<StreamWatch>,
 }
 
 impl Robot {
-    /// Receives the stream `topic` of `robot`. Only the newest frame is kept until the program reads it.
+    /// Receives a stream, `<robot>/<topic>`. Only the newest frame is kept until the program reads it.
     ///
-    /// The stream may start later than the watch, and may stop and start again.
+    /// The stream may start later than the watcher, and may stop and start again.
     ///
     /// ```no_run
     /// # async fn watch(robot: rect::Robot) -> Result<(), rect::Error> {
-    /// let camera = robot.watch("wombat-2", "camera").await?;
+    /// let camera = robot.watch("wombat-2/camera").await?;
     /// while let Some(frame) = camera.next().await {
     ///     println!("frame {}, {:?} old, {} skipped", frame.number, frame.age, frame.skipped);
     /// }
@@ -47,26 +47,22 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Name`] or [`Error::Topic`] if an argument is invalid, and [`Error::Closed`] if the session is closed.
+    /// [`Error::Topic`] if the robot or topic is invalid, and [`Error::Closed`] if the session is closed.
     ///
     /// # Cancel safety
     /// The call is complete when its future is polled for the first time, which `.await` does.
-    pub async fn watch<N: TryInto<Name>, T: TryInto<Topic>>(
-        &self,
-        robot: N,
-        topic: T,
-    ) -> Result<Watch, Error>
+    pub async fn watch<T: TryInto<RobotTopic>>(&self, stream: T) -> Result<Watcher, Error>
     where
-        Error: From<N::Error> + From<T::Error>,
+        Error: From<T::Error>,
     {
         let newest = QueueOptions {
             capacity: 1,
             when_full: WhenFull::DropOldest,
         };
-        self.watch_with(robot, topic, newest).await
+        self.watch_with(stream, newest).await
     }
 
-    /// Receives the stream `topic` of `robot` with other settings of the receive queue, for example to read every value of a
+    /// Receives a stream with other settings of the receive queue, for example to read every value of a
     /// sensor.
     ///
     /// # Errors
@@ -74,22 +70,21 @@ impl Robot {
     ///
     /// # Cancel safety
     /// The call is complete when its future is polled for the first time, which `.await` does.
-    pub async fn watch_with<N: TryInto<Name>, T: TryInto<Topic>>(
+    pub async fn watch_with<T: TryInto<RobotTopic>>(
         &self,
-        robot: N,
-        topic: T,
+        stream: T,
         queue: QueueOptions,
-    ) -> Result<Watch, Error>
+    ) -> Result<Watcher, Error>
     where
-        Error: From<N::Error> + From<T::Error>,
+        Error: From<T::Error>,
     {
-        let (robot, topic) = (robot.try_into()?, topic.try_into()?);
+        let RobotTopic { robot, topic } = stream.try_into()?;
         let inner = &self.inner;
         let queue = ReceiveQueue::new(Queue::new(queue.capacity, queue.when_full));
         let watch = StreamWatch::new(&inner.place, robot, topic, rand::random(), Instant::now());
         let reader = Mutex::new(watch.reader());
         let executor = Executor::new(&inner.session, watch, queue.clone());
-        Ok(Watch {
+        Ok(Watcher {
             queue,
             reader,
             running: executor.start(&inner.runtime)?,
@@ -97,7 +92,7 @@ impl Robot {
     }
 }
 
-impl Watch {
+impl Watcher {
     /// Leaves video undecoded: the payloads are the frames as they were sent, from a key frame on, with the encoding
     /// `video/h264`. A program that saves or forwards them needs them all, and chooses a receive queue with room for many
     /// ([`Robot::watch_with`]).
@@ -148,14 +143,14 @@ impl Watch {
     }
 }
 
-impl Drop for Watch {
+impl Drop for Watcher {
     fn drop(&mut self) {
         // Closed before undeclaring, which waits for Zenoh's threads: one of them may wait for room in the queue.
         self.close();
     }
 }
 
-impl fmt::Debug for Watch {
+impl fmt::Debug for Watcher {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let round_trip = self.round_trip();
         f.debug_struct("Watch")

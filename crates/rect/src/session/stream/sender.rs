@@ -2,10 +2,11 @@
 use std::{
     fmt,
     sync::{Mutex, MutexGuard, PoisonError},
-    time::Instant,
+    time::{Instant, SystemTime},
 };
 
 use rect_core::{
+    clock::unix::ms_since_1970,
     codec::picture::Picture,
     message::payload::{Payload, ToPayload},
     name::topic::Topic,
@@ -18,7 +19,6 @@ use rect_core::{
 use crate::{
     error::Error,
     session::{
-        convert::now_ms,
         executor::{Executor, Running},
         robot::Robot,
         shared::NoItems,
@@ -26,7 +26,7 @@ use crate::{
 };
 
 /// Sends frames of which only the newest matters; created by [`Robot::stream`]. Dropping it ends the stream.
-pub struct Stream {
+pub struct StreamSender {
     running: Running<StreamPublish>,
     /// Locked while a frame is sent, so that frames are sent in the order of their numbers.
     encoder: Mutex<PictureEncoder>,
@@ -35,7 +35,7 @@ pub struct Stream {
 impl Robot {
     /// Declares a stream of frames of which only the newest matters: a slow link drops older ones.
     ///
-    /// An adaptive stream ([`Stream::send_picture`], [`Stream::send_with`]) adapts size, quality and rate to the throughput
+    /// An adaptive stream ([`StreamSender::send_picture`], [`StreamSender::send_with`]) adapts size, quality and rate to the throughput
     /// of the link. [`StreamOptions`](crate::StreamOptions) describes the kinds of streams and their limits.
     ///
     /// ```no_run
@@ -55,7 +55,7 @@ impl Robot {
         &self,
         topic: T,
         options: Options,
-    ) -> Result<Stream, Error>
+    ) -> Result<StreamSender, Error>
     where
         Error: From<T::Error>,
     {
@@ -67,19 +67,19 @@ impl Robot {
             options,
             self.urgency(),
             rand::random(),
-            now_ms(),
+            ms_since_1970(SystemTime::now()),
             Instant::now(),
         );
         let encoder = Mutex::new(PictureEncoder::new(stream.lossy_format()));
         let executor = Executor::new(&inner.session, stream, NoItems);
-        Ok(Stream {
+        Ok(StreamSender {
             running: executor.start(&inner.runtime)?,
             encoder,
         })
     }
 }
 
-impl Stream {
+impl StreamSender {
     /// Sends a frame unchanged to each group of receivers that is due for one, and returns the number of those groups (0 to
     /// 2). Does not wait for the link.
     ///
@@ -117,7 +117,7 @@ impl Stream {
     /// groups of receivers to which it was sent (0 to 2), and blocks as [`send_with`](Self::send_with) does.
     ///
     /// ```no_run
-    /// # fn send(stream: rect::Stream, picture: rect::Picture) -> Result<(), rect::Error> {
+    /// # fn send(stream: rect::StreamSender, picture: rect::Picture) -> Result<(), rect::Error> {
     /// stream.send_picture(&picture)?;
     /// println!("{:?}", stream.status());
     /// # Ok(()) }
@@ -163,8 +163,8 @@ impl Stream {
     }
 }
 
-impl fmt::Debug for Stream {
+impl fmt::Debug for StreamSender {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "Stream({})", self.running.driver().notice_key())
+        write!(f, "StreamSender({})", self.running.driver().notice_key())
     }
 }
