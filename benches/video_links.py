@@ -37,19 +37,23 @@ def run() -> Table:
     return table
 
 
+def is_linked(robot: Robot) -> bool:
+    return robot.has_path("ble") if isinstance(robot, AnyRobot) else bool(robot.ble_links())
+
+
 def measured(kind: type[Robot], idle: int) -> list[float]:
     """Returns the ages of the pictures that arrive in the measured time, in seconds."""
     ages: list[tuple[float, float]] = []
     ends = threading.Event()
     with Room("desk", "--pdu", "27") as room:
         one, two = (room.add_robot(f"wombat-{number}", kind=kind) for number in (1, 2))
-        for number in range(idle):
-            room.add_robot(f"wombat-{3 + number}", kind=kind, dials=[one])
+        others = [two, *(room.add_robot(f"wombat-{3 + number}", kind=kind, dials=[one]) for number in range(idle))]
+        for other in others:
+            wait_until("linked", 60, lambda other=other: is_linked(other))
         with (
             rect.connect("wombat-1", router=one.endpoint()) as near,
             rect.connect("wombat-2", router=two.endpoint()) as far,
         ):
-            wait_until("linked", 60, lambda: len(near.peers()) == 1 + idle)
             stream = near.stream("camera", mode="video", max_frames_per_s=FRAMES_PER_S)
             watcher = far.watch("wombat-1/camera")
 
