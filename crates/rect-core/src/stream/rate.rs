@@ -11,6 +11,10 @@ use super::feedback::Feedback;
 /// The share of the pace that is used. The rest is for other traffic on the link, and for frames that are larger than
 /// expected.
 const SHARE: f64 = 0.85;
+/// Frames that are older than this wait in a queue, which has to become empty: the first frames of a stream, sent before the pace was
+/// known, may fill a queue of 100 kB. The older they are, the smaller is the share of the pace that is used, down to the second one.
+const QUEUED_MS: u32 = 500;
+const DRAINING_SHARE: f64 = 0.1;
 /// The weights of a new measurement of the pace, for a decrease and an increase.
 const WEIGHT_DOWN: f64 = 0.5;
 const WEIGHT_UP: f64 = 0.3;
@@ -122,7 +126,7 @@ impl Rate {
         }
         self.cautious_until = self.cautious_until.filter(|&until| now < until);
         match feedback.pace_bytes_per_s {
-            Some(pace) => self.follow(f64::from(pace)),
+            Some(pace) => self.follow(f64::from(pace), feedback.age_ms),
             None => self.grow_blindly(feedback, now),
         }
         if self.lost_share > HIGH_LOSS && self.cautious_until.is_none() {
@@ -139,7 +143,7 @@ impl Rate {
         }
     }
 
-    fn follow(&mut self, pace: f64) {
+    fn follow(&mut self, pace: f64, age_ms: u32) {
         let known = self.pace.unwrap_or(pace);
         let weight = if pace < known { WEIGHT_DOWN } else { WEIGHT_UP };
         let pace = known + (pace - known) * weight;
@@ -149,7 +153,9 @@ impl Rate {
         } else {
             2.0
         };
-        self.bytes_per_s = self.within((pace * SHARE).min(self.bytes_per_s * growth));
+        let queued = f64::from(QUEUED_MS) / f64::from(age_ms.max(QUEUED_MS));
+        let share = (SHARE * queued).max(DRAINING_SHARE);
+        self.bytes_per_s = self.within((pace * share).min(self.bytes_per_s * growth));
     }
 
     fn grow_blindly(&mut self, feedback: &Feedback, now: Instant) {
@@ -225,6 +231,25 @@ mod tests {
         assert!(rate.bytes_per_s() > 8e6);
         run(&mut rate, &mut now, &feedback(Some(34_000), 5, 0), 12);
         assert!(rate.bytes_per_s() < 31e3);
+    }
+
+    #[test]
+    fn a_queue_becomes_empty() {
+        let mut now = Instant::now();
+        let mut rate = Rate::new(RateLimits::default(), now);
+        let pace = 10_000.0;
+        // The first frames have filled it.
+        let mut queued_bytes = 100e3;
+        for _ in 0..60 {
+            let report = Feedback {
+                age_ms: (1000.0 * queued_bytes / pace) as u32,
+                ..feedback(Some(pace as u32), 5, 0)
+            };
+            run(&mut rate, &mut now, &report, 1);
+            queued_bytes = (queued_bytes + (rate.bytes_per_s() - pace) / 2.0).max(0.0);
+        }
+        assert!(queued_bytes < 100.0, "{queued_bytes}");
+        assert_eq!(rate.bytes_per_s(), pace * SHARE);
     }
 
     #[test]
