@@ -100,6 +100,16 @@ def scene(number: int) -> numpy.ndarray:
     return numpy.repeat(picture[:, :, None], 3, 2)
 
 
+def film(stream: rect.StreamSender, ends: threading.Event) -> None:
+    """Sends pictures as a camera does, until the end."""
+    due = time.monotonic()
+    for number in itertools.count():
+        stream.send(scene(number))
+        due += 1 / FRAMES_PER_S
+        if ends.wait(max(0, due - time.monotonic())):
+            return
+
+
 def place(number: int) -> int:
     return number % 39 * 16
 
@@ -112,21 +122,13 @@ def measured(link: Link, fault_s: float | None) -> tuple[float, float, int]:
         stream = near.stream("camera", mode="video", max_frames_per_s=FRAMES_PER_S)
         watch = far.watch("wombat-1/camera")
 
-        def film() -> None:
-            due = time.monotonic()
-            for number in itertools.count():
-                stream.send(scene(number))
-                due += 1 / FRAMES_PER_S
-                if ends.wait(max(0, due - time.monotonic())):
-                    return
-
         def show() -> None:
             for frame in watch:
                 row = numpy.asarray(frame.value)[:, :, 1].mean(0)
                 stripe = numpy.convolve(row, numpy.ones(16), "valid").max() / 16
                 arrivals.append((time.monotonic(), stripe > 200))
 
-        threads = [threading.Thread(target=film), threading.Thread(target=show)]
+        threads = [threading.Thread(target=film, args=[stream, ends]), threading.Thread(target=show)]
         for thread in threads:
             thread.start()
         time.sleep(BEFORE_S)

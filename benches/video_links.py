@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import statistics
 import threading
 import time
@@ -11,7 +10,7 @@ import rect
 from robots import AnyRobot, Robot, wait_until
 from room import Room
 from table import Table
-from video_faults import FRAMES_PER_S, SIZE, scene
+from video_faults import FRAMES_PER_S, SIZE, film
 
 #: How long the video runs before it is measured, and how long it is measured, in seconds.
 WARM_UP_S, MEASURED_S = 10, 30
@@ -57,20 +56,12 @@ def measured(kind: type[Robot], idle: int) -> list[float]:
             stream = near.stream("camera", mode="video", max_frames_per_s=FRAMES_PER_S)
             watcher = far.watch("wombat-1/camera")
 
-            def film() -> None:
-                due = time.monotonic()
-                for number in itertools.count():
-                    stream.send(scene(number))
-                    due += 1 / FRAMES_PER_S
-                    if ends.wait(max(0, due - time.monotonic())):
-                        return
-
             def show() -> None:
                 for frame in watcher:
                     if frame.age is not None:
                         ages.append((time.monotonic(), frame.age))
 
-            threads = [threading.Thread(target=film), threading.Thread(target=show)]
+            threads = [threading.Thread(target=film, args=[stream, ends]), threading.Thread(target=show)]
             for thread in threads:
                 thread.start()
             time.sleep(WARM_UP_S)

@@ -178,32 +178,16 @@ fn read_other<'py>(value: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) 
     }
     let class = value.get_type();
     if let Ok(fields) = class.getattr("__dataclass_fields__") {
-        let mut all = Vec::new();
-        for field in fields.cast_into::<PyDict>()?.keys() {
-            let name = field.cast_into::<PyString>()?;
-            // Class variables are listed, too, but the instance may lack them.
-            let Ok(item) = value.getattr(&name) else {
-                continue;
-            };
-            let key = Value::Text(name.to_string());
-            path.0.push(Step::Key(name.into_any()));
-            all.push((key, read(&item, form, path)?));
-            path.0.pop();
-        }
-        return Ok(Value::Map(all));
+        return read_fields(
+            value,
+            fields.cast_into::<PyDict>()?.keys().iter(),
+            form,
+            path,
+        );
     }
     // Models of msgspec and pydantic, members of an Enum, and times.
     if let Ok(fields) = class.getattr("__struct_fields__") {
-        let mut all = Vec::new();
-        for field in fields.cast_into::<PyTuple>()?.iter() {
-            let name = field.cast_into::<PyString>()?;
-            let item = value.getattr(&name)?;
-            let key = Value::Text(name.to_string());
-            path.0.push(Step::Key(name.into_any()));
-            all.push((key, read(&item, form, path)?));
-            path.0.pop();
-        }
-        return Ok(Value::Map(all));
+        return read_fields(value, fields.cast_into::<PyTuple>()?.iter(), form, path);
     }
     if class.hasattr("model_dump")? {
         return read(&value.call_method0("model_dump")?, form, path);
@@ -230,6 +214,28 @@ fn read_other<'py>(value: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) 
         class.name()?
     );
     Err(path.error(py, form, reason))
+}
+
+/// Converts an object with fields of these names.
+fn read_fields<'py>(
+    value: &Bound<'py, PyAny>,
+    names: impl Iterator<Item = Bound<'py, PyAny>>,
+    form: Form,
+    path: &mut Path<'py>,
+) -> PyResult<Value> {
+    let mut all = Vec::new();
+    for name in names {
+        let name = name.cast_into::<PyString>()?;
+        // Class variables of a dataclass are listed, too, but the instance may lack them.
+        let Ok(item) = value.getattr(&name) else {
+            continue;
+        };
+        let key = Value::Text(name.to_string());
+        path.0.push(Step::Key(name.into_any()));
+        all.push((key, read(&item, form, path)?));
+        path.0.pop();
+    }
+    Ok(Value::Map(all))
 }
 
 fn read_list<'py>(
