@@ -26,6 +26,11 @@ impl Pacer {
         let from = self.due.map_or(now, |due| due.max(now - gap.min(SLACK)));
         self.due = Some(from + takes.max(gap));
     }
+
+    /// Makes the next frame due at once: its time was computed from a rate that does not apply any more.
+    pub fn forget(&mut self) {
+        self.due = None;
+    }
 }
 
 /// How late a frame may be, compared with the maximum frame rate, without delaying the next ones.

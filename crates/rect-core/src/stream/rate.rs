@@ -11,8 +11,9 @@ use super::feedback::Feedback;
 /// The share of the pace that is used. The rest is for other traffic on the link, and for frames that are larger than
 /// expected.
 const SHARE: f64 = 0.85;
-/// Frames that are older than this wait in a queue, which has to become empty: the first frames of a stream, sent before the pace was
-/// known, may fill a queue of 100 kB. The older they are, the smaller is the share of the pace that is used, down to the second one.
+/// Frames that are older than this wait in a queue, which has to become empty: frames that were sent before a link
+/// became slower may fill a queue of 100 kB. The older they are, the smaller is the share of the pace that is used,
+/// down to the second one.
 const QUEUED_MS: u32 = 500;
 const DRAINING_SHARE: f64 = 0.1;
 /// The weights of a new measurement of the pace, for a decrease and an increase.
@@ -238,7 +239,6 @@ mod tests {
         let mut now = Instant::now();
         let mut rate = Rate::new(RateLimits::default(), now);
         let pace = 10_000.0;
-        // The first frames have filled it.
         let mut queued_bytes = 100e3;
         for _ in 0..60 {
             let report = Feedback {

@@ -100,6 +100,7 @@ pub struct Receiver {
     span: Span,
     feedback_interval: Option<Duration>,
     has_reported: bool,
+    has_reported_a_frame: bool,
     accepts_video: bool,
     /// When the sender was last asked for a key frame, while the video needs one.
     key_asked_at: Option<Instant>,
@@ -124,6 +125,7 @@ impl Receiver {
             span: Span::new(now),
             feedback_interval: Some(Duration::from_millis(500)),
             has_reported: false,
+            has_reported_a_frame: false,
             accepts_video: false,
             key_asked_at: None,
             needs_key: false,
@@ -294,10 +296,12 @@ impl Receiver {
             IDLE.max(interval)
         };
         let asks_for_key = self.ask_for_key_at(now).is_some_and(|at| at <= now);
-        if self.has_reported && passed < wait && !asks_for_key {
+        let is_due = !self.has_reported || passed >= wait || self.has_first_frame();
+        if !is_due && !asks_for_key {
             return None;
         }
         self.has_reported = true;
+        self.has_reported_a_frame |= self.span.frames > 0;
         self.key_asked_at = self.needs_key.then_some(now);
         let span = std::mem::replace(&mut self.span, Span::new(now));
         let pace = (span.busy > Duration::ZERO).then(|| span.paced_bytes / span.busy.as_secs_f64());
@@ -317,6 +321,11 @@ impl Receiver {
         })
     }
 
+    /// Returns whether the first frame has arrived and is to be reported at once: the sender waits for it.
+    fn has_first_frame(&self) -> bool {
+        self.span.frames > 0 && !self.has_reported_a_frame
+    }
+
     /// Returns the time at which to poll next, unless the sender replies or publishes a notice before that.
     pub fn poll_at(&self, now: Instant) -> Instant {
         let group = (self.group.is_none()).then(|| self.created_at + FOREIGN_AFTER);
@@ -330,8 +339,9 @@ impl Receiver {
                 // Frames that arrive meanwhile are reported at most one interval later.
                 now.min(self.span.since + IDLE.max(interval) - interval)
             };
-            let ask_for_key_at = self.ask_for_key_at(now).unwrap_or(from + interval);
-            ask_for_key_at.min(from + interval)
+            let first_frame = self.has_first_frame().then_some(now);
+            let at = [first_frame, self.ask_for_key_at(now)];
+            at.into_iter().flatten().fold(from + interval, Instant::min)
         });
         let first = [group, feedback].into_iter().flatten().min();
         first.map_or(self.query_at, |first| first.min(self.query_at))

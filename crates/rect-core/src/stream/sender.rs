@@ -37,6 +37,11 @@ pub const MAX_RECEIVERS: usize = 256;
 pub const MAX_RECEIVERS_OF_ROBOT: usize = 16;
 /// How long a new receiver that has not reported a frame yet limits the rate.
 const NEWCOMER: Duration = Duration::from_secs(3);
+/// The rate at which frames are sent until the first one is reported, so that they do not fill a queue in front of a
+/// slow link. It is low because a receiver reports its first frame at once.
+const UNREPORTED_BYTES_PER_S: f64 = 5e3;
+/// How long this rate applies while no receiver has sent feedback. Stock Zenoh programs never do.
+const UNREPORTED: Duration = Duration::from_secs(1);
 /// How long a robot that was moved to the other group still counts in its previous group, but at least three feedback
 /// intervals.
 const LEAVES_WITHIN: Duration = Duration::from_secs(3);
@@ -53,6 +58,8 @@ struct GroupOutput {
     video: Video,
     /// Whether Zenoh reports subscribers; `None` before its first report.
     has_subscribers: Option<bool>,
+    /// When the first frame was sent, as long as frames have had receivers since.
+    first_sent: Option<Instant>,
     frames: u64,
     bytes: u64,
     changes: u64,
@@ -94,6 +101,7 @@ impl Sender {
             step: None,
             video: Video::default(),
             has_subscribers: None,
+            first_sent: None,
             frames: 0,
             bytes: 0,
             changes: 0,
@@ -164,6 +172,7 @@ impl Sender {
             output.ladder.forget();
             output.step = None;
             output.video.pause();
+            output.first_sent = None;
             return None;
         }
         if is_video {
@@ -202,7 +211,9 @@ impl Sender {
                 .rate_of(job.group)
                 .unwrap_or_else(|| self.options.rates.initial()),
         };
+        let is_unreported = self.is_unreported(job.group, now);
         let output = &mut self.outputs[job.group.index()];
+        output.first_sent.get_or_insert(now);
         if let Some(step) = job.step {
             output.ladder.on_encoded(step, bytes, now);
         }
@@ -210,6 +221,11 @@ impl Sender {
             let is_key = bitstream::is_key_frame(&payload.bytes);
             output.video.on_encoded(settings, bytes, is_key, now);
         }
+        let rate = if is_unreported {
+            rate.min(UNREPORTED_BYTES_PER_S)
+        } else {
+            rate
+        };
         output
             .pacer
             .on_sent(bytes, rate, self.options.max_frames_per_s, now);
@@ -259,7 +275,10 @@ impl Sender {
         });
         state.last_report = now;
         state.feedback = *feedback;
-        state.is_measured |= feedback.frames > 0;
+        if feedback.frames > 0 && !state.is_measured {
+            state.is_measured = true;
+            self.outputs[feedback.group.index()].pacer.forget();
+        }
         state.rate.on_feedback(feedback, now);
         // A new robot joins the group that newcomers join, or the slow group, where it affects fewer robots.
         let group = match feedback.group {
@@ -438,6 +457,22 @@ impl Sender {
             }
             _ => lowest,
         })
+    }
+
+    /// Returns whether no receiver of a group has reported a frame, and one may still do so.
+    fn is_unreported(&self, group: Group, now: Instant) -> bool {
+        if !self.options.mode.is_adaptive() {
+            return false;
+        }
+        let is_in = |robot: &Name| self.groups.of(robot) == Some(group);
+        let mut members = (self.receivers.iter())
+            .filter(|((robot, _), _)| is_in(robot))
+            .peekable();
+        if members.peek().is_some() {
+            return members.all(|(_, state)| !state.is_measured);
+        }
+        let first_sent = self.outputs[group.index()].first_sent.unwrap_or(now);
+        now.saturating_duration_since(first_sent) < UNREPORTED
     }
 
     /// Returns the group that newcomers join: the slow group if the main group's frames would fill a slow link for

@@ -52,6 +52,8 @@ pub struct Condition {
     pub loss: f64,
     /// Reliable traffic of the same priority, in bytes per second; messages of 1 kB.
     pub others_bytes_per_s: f64,
+    /// The bytes that wait for the link at most; further frames are dropped.
+    pub queue_bytes: f64,
 }
 
 impl Condition {
@@ -61,6 +63,7 @@ impl Condition {
             is_cut: false,
             loss: 0.0,
             others_bytes_per_s: 0.0,
+            queue_bytes: bytes_per_s * DROPPABLE.as_secs_f64(),
         }
     }
 }
@@ -417,7 +420,7 @@ impl Endpoint {
         }
         let condition = (self.condition_at)(now - start);
         let waiting: f64 = self.queue.iter().map(|packet| packet.left).sum();
-        if waiting <= condition.bytes_per_s * DROPPABLE.as_secs_f64() {
+        if waiting <= condition.queue_bytes {
             self.queue.push_back(Packet {
                 left: bytes as f64 + 60.0,
                 frame: Some((group, attachment, bytes, now)),

@@ -118,6 +118,31 @@ fn converges_within_5_s_on_links_of_34_100_and_1000_kb_per_s() {
 }
 
 #[test]
+fn the_first_frames_do_not_fill_the_queue_of_a_slow_link() {
+    for seed in SEEDS {
+        for rate in [5e3, 10e3, 34e3] {
+            let mut world = world(seed);
+            // As much as waits above an `any` link: 8 of Zenoh's batches of 16,000 bytes.
+            let queue_bytes = 128e3;
+            world.add("wombat-2", 30, move |_| Condition {
+                queue_bytes,
+                ..Condition::of(rate)
+            });
+            world.run(30);
+            let ages = world
+                .endpoint("wombat-2")
+                .arrivals
+                .iter()
+                .map(|arrival| arrival.age);
+            let oldest = ages.max().unwrap();
+            // Two of the first frames, which have about 5 kB.
+            let limit = Duration::from_millis(100) + Duration::from_secs_f64(2.0 * 5300.0 / rate);
+            assert!(oldest < limit, "seed {seed}, {rate} B/s: {oldest:?}");
+        }
+    }
+}
+
+#[test]
 fn is_lossless_within_8_s_on_wi_fi() {
     for seed in SEEDS {
         let mut world = world(seed);
