@@ -45,7 +45,9 @@ def run() -> Table:
 
 
 def measure(table: Table, built: Path) -> None:
-    compare(table, [built / "benches" / "rect_rounds"], [os.environ["RECT_ROUNDS"]])
+    rust = os.environ["RECT_ROUNDS"]
+    compare(table, "", [built / "benches" / "rect_rounds"], [rust])
+    compare(table, "in Rust, with a type (in place of C++) and without: ", [rust, "typed"], [rust])
     command = [built / "benches" / "rect_bench", "--reporter", "xml", "--benchmark-samples", SAMPLES]
     output = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     for bench in xml.fromstring(output[output.index("<?xml") :]).iter("BenchmarkResults"):
@@ -58,12 +60,12 @@ def measure(table: Table, built: Path) -> None:
     table.add("heap allocations for a message, published and received", found[1], "", "")
 
 
-def compare(table: Table, ours: list, theirs: list) -> None:
+def compare(table: Table, about: str, ours: list, theirs: list) -> None:
     rows = {"p50_us": "publish to callback, p50, us", "messages_per_s": "messages/s"}
     both = alternate(ROUNDS, lambda: figures(ours), lambda: figures(theirs))
     for key, what in rows.items():
         found = [[run[key] for run in runs] for runs in both]
-        table.add(what, *(f"{statistics.median(rounds):,.0f}" for rounds in found), ratio(*found))
+        table.add(about + what, *(f"{statistics.median(rounds):,.0f}" for rounds in found), ratio(*found))
 
 
 def figures(command: list) -> dict[str, float]:

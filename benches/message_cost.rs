@@ -13,7 +13,7 @@ use std::{
 };
 
 use processor_time::processor_time;
-use rect::{QueueOptions, WhenFull};
+use rect::{Payload, QueueOptions, WhenFull};
 use zenoh::qos::CongestionControl;
 
 type Outcome<T> = Result<T, Box<dyn Error + Send + Sync>>;
@@ -85,7 +85,7 @@ async fn counted(messages: u32, mut next: impl AsyncFnMut() -> Outcome<()>) -> O
 async fn rect_publish(router: &str, messages: u32) -> Outcome<f64> {
     let robot = rect::Options::new("wombat-1")?.router(router);
     let robot = robot.connect().await?;
-    let publisher = robot.publisher(KEY).await?;
+    let publisher = robot.publisher::<Payload>(KEY).await?;
     publisher.wait_for_subscriber(TIMEOUT).await?;
     paced(messages, async || {
         Ok(publisher.publish(PAYLOAD.as_slice()).await?)
@@ -101,7 +101,7 @@ async fn rect_receive(router: &str, messages: u32) -> Outcome<f64> {
         ..QueueOptions::default()
     };
     let subscriber = robot
-        .subscribe_with(format!("*/{KEY}").as_str(), each)
+        .subscribe_with::<Payload>(format!("*/{KEY}").as_str(), each)
         .await?;
     counted(messages, async || {
         let message = subscriber.next().await;

@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,18 @@ FRAMES = 100
 MESSAGES = int(os.environ.get("RECT_BENCH_MESSAGES", 20_000 if IS_STEADY else 10_000_000))
 READING = {"robot": "wombat-1", "angle_deg": 12.5, "volt": 7.2, "ok": True}
 WAIT_S = 30
+
+
+@dataclass
+class Reading:
+    """The type of `READING`."""
+
+    robot: str
+    angle_deg: float
+    volt: float
+    ok: bool
+
+
 Call = Callable[[], object]
 
 
@@ -37,8 +50,10 @@ def run() -> Table:
     with rect.connect("wombat-1", listen=[endpoint]) as robot, other(endpoint):
         while not robot.peers():
             time.sleep(0.05)
-        pings = [Pings(rect_ping(robot)), Pings(plain_ping(robot.zenoh))]
+        pings = [Pings(rect_ping(robot, "")), Pings(plain_ping(robot.zenoh))]
         compare(table, f"publish to callback and back, {size} B of JSON, p50, us", *pings)
+        typed = Pings(rect_ping(robot, "typed-", Reading))
+        compare(table, "the same with a dataclass (in place of rect) and without (in place of zenoh)", typed, pings[0])
         compare(table, f"request and reply, {size} B of JSON, p50, us", rect_ask(robot), plain_ask(robot.zenoh))
         frame = np.random.default_rng(1).integers(0, 255, (480, 640, 3), np.uint8)
         compare(table, "640x480 frames, raw, frames/s", rect_frames(robot, frame), plain_frames(robot.zenoh, frame))
@@ -82,14 +97,14 @@ class Pings:
         return statistics.median(took) * 1e6
 
 
-def rect_ping(robot: rect.Robot) -> Callable[[Call], Call]:
+def rect_ping(robot: rect.Robot, topics: str, type: type | None = None) -> Callable[[Call], Call]:
     def begin(back: Call) -> Call:
         def on_pong(message: rect.Message) -> None:
             assert message.value
             back()
 
-        robot.subscribe("wombat-2/pong", callback=on_pong)
-        return lambda: robot.publish("ping", READING)
+        robot.subscribe(f"wombat-2/{topics}pong", type, callback=on_pong)
+        return lambda: robot.publish(f"{topics}ping", READING)
 
     return begin
 
@@ -190,6 +205,7 @@ def echo(endpoint: str) -> None:
     with rect.connect("wombat-2", endpoints=[endpoint]) as robot:
         session = robot.zenoh
         robot.subscribe("wombat-1/ping", callback=lambda message: robot.publish("pong", message.value))
+        robot.subscribe("wombat-1/typed-ping", callback=lambda message: robot.publish("typed-pong", message.value))
         robot.serve("echo", lambda request: request.value)
         publisher = session.declare_publisher("plain/pong", encoding="application/json")
 

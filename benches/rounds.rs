@@ -1,5 +1,6 @@
 //! Measures the latency from publishing to a callback, and the messages per second, of the Rust library, with two robots in one
-//! process that are linked over TCP. `cpp/rounds.cpp` measures the same in C++, and `cpp.py` compares them.
+//! process that are linked over TCP. `cpp/rounds.cpp` measures the same in C++, and `cpp.py` compares them. With the argument
+//! `typed`, the values of the subscription have a type.
 use std::{
     net::TcpListener,
     sync::{
@@ -9,9 +10,22 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::{blocking::Robot, Error, Options, QueueOptions, WhenFull};
+use rect::{
+    blocking::Robot, Encoding, Error, FromPayload, Options, Payload, QueueOptions, WhenFull,
+};
+use serde::Deserialize;
 
 const TEXT: &str = r#"{"angle_deg":12.5,"ok":true,"robot":"wombat-1","volt":7.2}"#;
+/// The value of `TEXT`.
+#[derive(Deserialize)]
+#[allow(dead_code, reason = "only the conversion is measured")]
+struct Reading {
+    angle_deg: f64,
+    ok: bool,
+    robot: String,
+    volt: f64,
+}
+
 const ROUNDS: usize = 1000;
 const MESSAGES: u64 = 20_000;
 const RETRY_INTERVAL: Duration = Duration::from_millis(50);
@@ -59,6 +73,14 @@ impl Counter {
 }
 
 fn main() -> Result<(), Error> {
+    match std::env::args().nth(1).as_deref() {
+        Some("typed") => measure::<Reading>(),
+        _ => measure::<Payload>(),
+    }
+}
+
+fn measure<T: FromPayload>() -> Result<(), Error> {
+    let value = Payload::new(TEXT, Encoding::JSON);
     let port = TcpListener::bind("127.0.0.1:0").and_then(|probe| probe.local_addr());
     let endpoint = format!("tcp/{}", port.expect("a free port"));
     let options = |name| Ok::<_, Error>(Options::new(name)?.login_file("/none"));
@@ -74,25 +96,28 @@ fn main() -> Result<(), Error> {
         when_full: WhenFull::Block,
     };
     let called = received.clone();
-    let _subscription = two.on_message_with("wombat-1/n", queue, move |_| called.add())?;
+    let _subscription = two.on_message_with::<T>("wombat-1/n", queue, move |message| {
+        assert!(message.value.is_ok());
+        called.add();
+    })?;
     received.expect_more(1);
-    one.publish("n", TEXT)?;
+    one.publish("n", &value)?;
     while received.wait(RETRY_INTERVAL).is_none() {
-        one.publish("n", TEXT)?;
+        one.publish("n", &value)?;
     }
 
     let mut took = Vec::with_capacity(ROUNDS);
     for _ in 0..ROUNDS {
         received.expect_more(1);
         let began = Instant::now();
-        one.publish("n", TEXT)?;
+        one.publish("n", &value)?;
         took.push(received.wait(DEADLINE).expect("a message did not arrive") - began);
     }
     took.sort_unstable();
     received.expect_more(MESSAGES);
     let began = Instant::now();
     for _ in 0..MESSAGES {
-        one.publish("n", TEXT)?;
+        one.publish("n", &value)?;
     }
     let took_all = received.wait(DEADLINE).expect("not all messages arrived") - began;
     let per_s = MESSAGES as f64 / took_all.as_secs_f64();

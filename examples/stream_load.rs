@@ -105,8 +105,8 @@ async fn run(task: Task) -> Result<Outcome, Box<dyn Error>> {
     let urgent_ms: Arc<Mutex<Vec<f64>>> = Arc::default();
     let ages_ms = urgent_ms.clone();
     let _urgent = far
-        .on_message("wombat-1/stop", move |message| {
-            if let Ok(due_s) = message.payload.value::<f64>() {
+        .on_message::<f64>("wombat-1/stop", move |message| {
+            if let Ok(due_s) = message.value {
                 let age_s = begun.elapsed().as_secs_f64() - due_s;
                 ages_ms.lock().expect("not poisoned").push(age_s * 1000.0);
             }

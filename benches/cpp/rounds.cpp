@@ -22,11 +22,12 @@ double us(Clock::duration time) { return std::chrono::duration<double, std::micr
 TEST_CASE("rounds") {
     Pair pair;
     Counter received;
+    const auto value = rect::Payload::json(text);
     const auto subscription = must(pair.two.subscribe(
         "wombat-1/n", [&](const rect::MessageView&) { received.add(); }, {1 << 16, rect::WhenFull::block}));
     received.expect_more(1);
     until([&] {
-        must(pair.one.publish("n", text));
+        must(pair.one.publish("n", value));
         return received.wait(retry_interval).has_value();
     });
 
@@ -34,7 +35,7 @@ TEST_CASE("rounds") {
     for (int n = 0; n < rounds; ++n) {
         received.expect_more(1);
         const auto began = Clock::now();
-        must(pair.one.publish("n", text));
+        must(pair.one.publish("n", value));
         const auto reached_at = received.wait(deadline);
         REQUIRE(reached_at);
         took.push_back(us(*reached_at - began));
@@ -43,7 +44,7 @@ TEST_CASE("rounds") {
     received.expect_more(messages);
     const auto began = Clock::now();
     for (int n = 0; n < messages; ++n) {
-        must(pair.one.publish("n", text));
+        must(pair.one.publish("n", value));
     }
     const auto reached_at = received.wait(deadline);
     REQUIRE(reached_at);

@@ -6,12 +6,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     // Every program that subscribes to greetings receives this.
     robot.publish("greeting", "hello")?;
     // Only this program receives the reply.
-    let battery = robot.request("wombat-2", "battery", "")?;
-    println!("battery of {}: {}", battery.sender, battery.payload.text()?);
+    let battery = robot.request::<rect::Value>("wombat-2", "battery", "")?;
+    println!("battery of {}: {}", battery.sender, battery.value);
     // Until Ctrl-C.
-    for message in robot.subscribe("wombat-2/**")? {
-        let text = message.payload.text()?;
-        println!("{} {}: {text}", message.sender, message.topic);
+    for message in robot.subscribe::<rect::Value>("wombat-2/**")? {
+        println!("{} {}: {}", message.sender, message.topic, message.value?);
     }
     Ok(())
 }

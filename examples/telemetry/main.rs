@@ -33,11 +33,9 @@ async fn main() -> Result {
     let name = arguments.next().unwrap_or("wombat-1".to_owned());
     let robot = rect::connect(&name).await?;
     let _subscription = robot
-        .on_message("*/telemetry", |message| {
-            match message.payload.value::<Telemetry>() {
-                Ok(telemetry) => println!("{}: {telemetry:?}", message.sender),
-                Err(error) => eprintln!("{}: {error}", message.sender),
-            }
+        .on_message::<Telemetry>("*/telemetry", |message| match message.value {
+            Ok(telemetry) => println!("{}: {telemetry:?}", message.sender),
+            Err(problem) => eprintln!("{}: {problem}", message.sender),
         })
         .await?;
     match arguments.next().as_deref() {

@@ -62,7 +62,7 @@ impl Object for OwnedMessage {
 
 /// Returns the text of the reason why a message could not be decoded.
 pub fn problem(message: &rect::Message) -> Option<String> {
-    message.problem.as_ref().map(ToString::to_string)
+    message.problem().map(ToString::to_string)
 }
 
 /// Returns the C form of a message, which is valid as long as the message and `problem`.

@@ -1,10 +1,5 @@
 //! Sends requests to services and returns their replies.
-use std::{
-    ffi::c_char,
-    mem::MaybeUninit,
-    sync::{Arc, Mutex, PoisonError},
-    time::Duration,
-};
+use std::{ffi::c_char, mem::MaybeUninit, sync::Arc, time::Duration};
 
 use rect::blocking::Runtime;
 use tokio_util::sync::CancellationToken;
@@ -45,7 +40,7 @@ impl Object for OwnedReply {
 }
 
 struct PendingReplies {
-    replies: Mutex<rect::Replies>,
+    replies: rect::Replies,
     runtime: Arc<Runtime>,
     stop: CancellationToken,
 }
@@ -60,12 +55,11 @@ impl Object for PendingReplies {
 
 impl PendingReplies {
     fn next(&self) -> Result<rect::Reply, Failure> {
-        let mut replies = self.replies.lock().unwrap_or_else(PoisonError::into_inner);
         let next = self.runtime.wait(async {
             tokio::select! {
                 biased;
                 () = self.stop.cancelled() => Err(Failure::Closed),
-                reply = replies.next() => reply.ok_or(Failure::End),
+                reply = self.replies.next() => reply.ok_or(Failure::End),
             }
         })?;
         Ok(next?)
@@ -125,7 +119,7 @@ pub unsafe extern "C" fn rect_robot_request(
             program
                 .robot
                 .with_timeout(timeout)
-                .request(recipient, topic, payload),
+                .request::<rect::Payload>(recipient, topic, payload),
         )?;
         write_out("reply", reply, into_c(first))
     })
@@ -157,7 +151,7 @@ pub unsafe extern "C" fn rect_robot_request_all(
                 .request_all(topic, payload),
         )?;
         let id = handle::insert(PendingReplies {
-            replies: Mutex::new(incoming),
+            replies: incoming,
             runtime: program.runtime.clone(),
             stop: CancellationToken::new(),
         });

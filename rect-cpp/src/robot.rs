@@ -5,6 +5,7 @@ use std::{
     time::Duration,
 };
 
+use rect::{Name, Topic};
 use rect_core::codec;
 
 use crate::{
@@ -306,8 +307,36 @@ pub unsafe extern "C" fn rect_robot_wait_for_message(
         // SAFETY: the caller follows the rules of rect.h.
         let pattern = unsafe { text("pattern", pattern)? };
         let (program, timeout) = (robot.resolve()?, timeout(timeout_ms));
-        let received = program.wait(program.robot.wait_for_message(pattern, timeout))?;
+        let received = program.wait(
+            program
+                .robot
+                .wait_for_message::<rect::Payload>(pattern, timeout),
+        )?;
         write_out("message", message, message::into_c(received))
+    })
+}
+
+/// Counts a value that does not fit the type that the program expects in `problems` of `rect_counters`, and writes a warning to
+/// standard error for the first one of each sender and topic: `battery of wombat-2: ` and the text `problem`. Programs in C++ that
+/// state a type need not call it. May be called on any thread.
+#[no_mangle]
+pub unsafe extern "C" fn rect_robot_on_problem(
+    robot: RobotHandle,
+    sender: *const c_char,
+    topic: *const c_char,
+    problem: *const c_char,
+    error: Option<&mut MaybeUninit<ErrorOut>>,
+) -> Code {
+    call(error, || {
+        // SAFETY: the caller follows the rules of rect.h.
+        let sender = Name::new(unsafe { text("sender", sender)? })?;
+        // SAFETY: as above.
+        let topic = Topic::new(unsafe { text("topic", topic)? })?;
+        // SAFETY: as above.
+        let problem = unsafe { text("problem", problem)? };
+        let program = robot.resolve()?;
+        program.robot.on_problem(&sender, &topic, &problem);
+        Ok(())
     })
 }
 

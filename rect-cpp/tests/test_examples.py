@@ -70,6 +70,16 @@ def test_telemetry(examples: Path, tmp_path: Path) -> None:
         assert "7.2 V" in two.until("wombat-1: ")
 
 
+@pytest.mark.parametrize("name", ["rescue", "rescue_c"])
+def test_rescue(name: str, examples: Path, tmp_path: Path) -> None:
+    with (
+        Example(examples / name, "wombat-1", folder=tmp_path) as one,
+        Example(examples / name, "wombat-2", "12", folder=tmp_path) as two,
+    ):
+        one.until("wombat-2 needs help at 1.5, 0.5")
+        two.until("wombat-1: 80 percent")
+
+
 def test_teleoperation(examples: Path, tmp_path: Path) -> None:
     with Example(examples / "teleoperation", "wombat-1", folder=tmp_path) as one:
         one.until("no commands, stopping: 0 0")

@@ -8,7 +8,7 @@ pub use fields::{ConnectionsReport, ToPython};
 pub use report::{bytes_of, Report};
 pub use sessions::{
     direct_presence, established_wait, expected_connection, observer, peer_wait, peers_query,
-    registry_change, registry_query, router_observer, seconds,
+    reachable_robots, registry_change, registry_query, router_observer, seconds,
 };
 pub use step::{act, get, qos_fields, QosFields};
 

@@ -77,6 +77,7 @@ impl Raised for PayloadError {
             Self::Encoding(_) => "encoding",
             Self::Mismatch { .. } => "other",
             Self::Read { .. } => "read",
+            Self::Type(_) => "mismatch",
         };
         Python::attach(|py| raised(py, "PayloadError", (self.to_string(), kind)))
     }

@@ -24,6 +24,7 @@ mod settings;
 mod stream;
 mod transfer;
 mod urgency;
+mod used_names;
 mod value;
 
 use pyo3::prelude::*;
@@ -42,8 +43,8 @@ mod _rect {
         detached::{forget_work, settle},
         driver::{
             direct_presence, established_wait, expected_connection, observer, peer_wait,
-            peers_query, registry_change, registry_query, router_observer, ConnectionsReport,
-            Driver, Report,
+            peers_query, reachable_robots, registry_change, registry_query, router_observer,
+            ConnectionsReport, Driver, Report,
         },
         errors::{forget, on_one_line},
         key_space::{check_encoding, check_name, check_topic, encoding_parts, pattern, KeySpace},
@@ -58,6 +59,7 @@ mod _rect {
         stream::{FrameReader, Job, StreamPublish, StreamWatch},
         transfer::{OfferedTransfer, TransferPull, TransferPush, TransferReception},
         urgency::{choose_session, qos},
+        used_names::UsedNames,
         value::{read_value, write_value},
     };
 

@@ -105,6 +105,15 @@ def test_telemetry(endpoint: str, tmp_path: Path) -> None:
         assert "'battery_volt': 7.2" in two.tool.until("wombat-1: ")
 
 
+def test_rescue(endpoint: str, tmp_path: Path) -> None:
+    with (
+        Example("rescue", "wombat-1", folder=tmp_path) as one,
+        Example("rescue", "wombat-2", "12", folder=tmp_path) as two,
+    ):
+        one.tool.until("wombat-2 needs help at 1.5, 0.5")
+        two.tool.until("wombat-1: 80.0 percent")
+
+
 def test_teleoperation(endpoint: str, tmp_path: Path) -> None:
     with Example("teleoperation", "wombat-1", folder=tmp_path) as one:
         one.tool.until("no commands, stopping")

@@ -6,6 +6,7 @@ import asyncio
 import dataclasses
 import enum
 import logging
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
@@ -248,6 +249,29 @@ def test_problem_is_reported_and_counted_and_warned_of_once(pair: Pair, caplog: 
     assert two.counters().problems == 3
     warning = "battery of wombat-1: field percent: expected a number, found the text 'full'"
     assert [record.getMessage() for record in caplog.records] == [warning]
+
+
+def test_names_that_nobody_has_are_warned_of_within_3_s(pair: Pair, caplog: pytest.LogCaptureFixture) -> None:
+    one, two = pair
+    stream = one.stream("camera")
+    begun = time.monotonic()
+    with caplog.at_level(logging.WARNING, "rect"):
+        kept = [two.subscribe("arm/angle"), two.subscribe("wombat-1/arm"), two.watch("wombat-1/camra")]
+        one.publish("arm angle", 1)
+        with pytest.raises(rect.TimedOut, match="did you mean wombat-1"):
+            two.wait_for_peer("wombt-1", 3)
+        until(lambda: len(caplog.records) == 4)
+    assert time.monotonic() - begun < DEADLINE
+    texts = sorted(record.getMessage() for record in caplog.records)
+    assert texts == [
+        "no robot called arm is reachable yet; reachable robots: wombat-1. The pattern arm/angle means the robot arm; for the "
+        "topic arm/angle of every robot, use */arm/angle",
+        "no robot called wombt-1 is reachable yet; did you mean wombat-1? (reachable robots: wombat-1)",
+        'the topic "arm angle" contains a space, and only programs that write it in the same way receive it; '
+        "`rect topic list` lists the topics of all robots",
+        "wombat-1 has no stream camra yet; did you mean camera? (its streams: camera)",
+    ]
+    del kept, stream
 
 
 def test_large_value_that_does_not_fit_is_shown_briefly(pair: Pair) -> None:

@@ -68,7 +68,7 @@ pub async fn request(arguments: RequestArguments) -> Done {
     let recipient = name(&arguments.robot)?;
     let reply = robot
         .with_timeout(timeout)
-        .request(&recipient, &arguments.topic, payload)
+        .request::<Payload>(&recipient, &arguments.topic, payload)
         .await?;
     show(&reply, arguments.json)?;
     Ok(ExitCode::SUCCESS)
@@ -80,9 +80,9 @@ async fn request_all(
     payload: Payload,
     timeout: Duration,
 ) -> Done {
-    let mut replies = robot
+    let replies = robot
         .with_timeout(timeout)
-        .request_all(&arguments.topic, payload)
+        .request_all::<Payload>(&arguments.topic, payload)
         .await?;
     let mut answers = 0;
     while let Some(reply) = replies.next().await {
@@ -102,7 +102,9 @@ async fn request_all(
 }
 
 fn show(reply: &Reply, as_json: bool) -> Result<(), Failure> {
-    let Reply { sender, payload } = reply;
+    let Reply {
+        sender, payload, ..
+    } = reply;
     if as_json {
         let encoding = payload.encoding.as_str();
         let reply =

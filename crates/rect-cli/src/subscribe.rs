@@ -2,7 +2,7 @@
 use std::{process::ExitCode, time::SystemTime};
 
 use clap::Args;
-use rect::{Message, Name, Pattern, Robot};
+use rect::{Message, Pattern, Payload};
 use rect_core::{clock::unix::ms_since_1970, text::display::line};
 use rect_terminal::clock::time_of_day;
 use rect_terminal::{self as terminal, paint, Style};
@@ -31,15 +31,12 @@ pub struct SubArguments {
 /// Runs `rect sub`.
 pub async fn run(arguments: SubArguments) -> Done {
     let robot = arguments.join.join_unnamed().await?;
-    let messages = robot.subscribe(&arguments.pattern).await?;
+    let messages = robot.subscribe::<Payload>(&arguments.pattern).await?;
     let pattern = arguments.pattern.to_string();
     rect_terminal::errln!(
         "rect: subscribed to {}; press Ctrl-C to exit",
         line(&pattern)
     );
-    if let Some(hint) = unreachable_hint(&robot, arguments.pattern.robot()).await? {
-        rect_terminal::errln!("rect: {hint}");
-    }
     let mut left = arguments.count.unwrap_or(u64::MAX);
     while left > 0 {
         let Some(message) = messages.next().await else {
@@ -64,27 +61,6 @@ pub async fn run(arguments: SubArguments) -> Done {
     Ok(ExitCode::SUCCESS)
 }
 
-/// Returns a hint if the robot `named` in the pattern is not reachable.
-async fn unreachable_hint(
-    robot: &Robot,
-    named: Option<&Name>,
-) -> Result<Option<String>, rect::Error> {
-    let Some(named) = named.filter(|named| *named != robot.name()) else {
-        return Ok(None);
-    };
-    let peers = robot.peers().await?;
-    if peers.contains(named) {
-        return Ok(None);
-    }
-    let mut reachable: Vec<&str> = peers.iter().map(Name::as_str).collect();
-    reachable.push(robot.name().as_str());
-    reachable.sort_unstable();
-    Ok(Some(format!(
-        "the robot {named} is not reachable now; its messages are printed when it is. Reachable robots: {}",
-        reachable.join(", ")
-    )))
-}
-
 fn as_text(message: &Message) -> String {
     let Message { sender, topic, .. } = message;
     let topic = line(topic.as_str());
@@ -102,7 +78,7 @@ fn as_text(message: &Message) -> String {
         let missed = format!(" ({} missed before this one)", message.missed);
         text += &paint(Style::Poor, &missed);
     }
-    if let Some(problem) = &message.problem {
+    if let Some(problem) = message.problem() {
         let problem = format!(" (not decoded: {})", line(&problem.to_string()));
         text += &paint(Style::Wrong, &problem);
     }
@@ -124,6 +100,6 @@ fn as_json(message: &Message) -> serde_json::Value {
         "late": message.late,
         "replayed": message.replayed,
         "method": message.method,
-        "problem": message.problem.as_ref().map(ToString::to_string),
+        "problem": message.problem().map(ToString::to_string),
     })
 }

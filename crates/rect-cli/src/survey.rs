@@ -19,7 +19,7 @@ use std::{
 };
 
 use clap::Args;
-use rect::{Connection, Json, LinkPathState, Name, Robot};
+use rect::{Connection, Json, LinkPathState, Name, Payload, Robot};
 use rect_core::registry::connection::ConnectionState;
 use rect_terminal::clock;
 use serde_json::Value;
@@ -159,7 +159,10 @@ struct Surveyor<'a> {
 impl Surveyor<'_> {
     async fn run(&self, arguments: &SurveyArguments) -> Result<Survey, Failure> {
         let own = tokio::task::spawn_blocking(|| Computer::describe(Path::new("/"))).await?;
-        let reply = self.robot.request(self.other, COMPUTER, "").await;
+        let reply = self
+            .robot
+            .request::<Payload>(self.other, COMPUTER, "")
+            .await;
         let theirs = reply.map_err(|error| {
             format!("{error}. Run `rect survey --serve` on {} first", self.other)
         })?;

@@ -5,7 +5,9 @@ pub mod counters;
 pub mod encoding;
 pub mod expiry;
 pub mod gaps;
+pub mod mismatch;
 pub mod payload;
+pub mod problems;
 pub mod queue;
 pub mod request;
 pub mod sequence;
@@ -17,9 +19,8 @@ use zenoh_keyexpr::keyexpr;
 
 use self::{
     attachment::{Attachment, Sent},
-    codec_error::CodecError,
     gaps::{Gaps, SenderCounts},
-    payload::Payload,
+    payload::{FromPayload, Payload, PayloadError},
     urgency::Urgency,
 };
 use crate::name::{
@@ -28,16 +29,17 @@ use crate::name::{
     Name,
 };
 
-/// A message from another robot, or from another program of this robot.
+/// A message from another robot, or from another program of this robot. `T` is the type that the program has stated for
+/// its value.
 #[derive(Clone, Debug)]
-pub struct Message {
+pub struct Message<T = ()> {
     /// The robot that sent the message.
     pub sender: Name,
     /// The one robot that the message was sent to. `None` if it was published to all robots.
     pub recipient: Option<Name>,
     /// The topic of the message.
     pub topic: Topic,
-    /// The bytes of the message with their encoding, decoded unless there is a [`problem`](Self::problem).
+    /// The bytes of the message with their encoding, decoded unless there is a [`problem`](Self::problem) with that.
     pub payload: Payload,
     /// The urgency with which the message was sent.
     pub urgency: Urgency,
@@ -58,9 +60,10 @@ pub struct Message {
     /// When the message expires, on this computer's clock. `None`: it never does. A program that is busy for long may look again
     /// before it acts on the message.
     pub expires_at: Option<Instant>,
-    /// Why the payload could not be decoded and is delivered as it arrived: it is damaged, too large, or needs an
-    /// unknown dictionary. `None` if it was decoded.
-    pub problem: Option<CodecError>,
+    /// The value as the type that the program has stated, or the problem why there is none. [`PayloadError::Codec`]: the payload
+    /// could not be decoded and is delivered as it arrived, because it is damaged, too large, or needs an unknown dictionary.
+    /// [`PayloadError::Type`] and others: the value does not fit the type.
+    pub value: Result<T, PayloadError>,
     /// The method by which the message arrived, such as `ble`. `None` if it is unknown, or if this robot has links of
     /// several methods with the sender.
     pub method: Option<String>,
@@ -82,9 +85,36 @@ impl Message {
             late: false,
             replayed: false,
             expires_at: None,
-            problem: None,
+            value: Ok(()),
             method: None,
         }
+    }
+
+    /// Returns the message with its value as the type that the program has stated.
+    pub fn typed<T: FromPayload>(self) -> Message<T::Value> {
+        Message {
+            value: self.value.and_then(|()| T::from_payload(&self.payload)),
+            sender: self.sender,
+            recipient: self.recipient,
+            topic: self.topic,
+            payload: self.payload,
+            urgency: self.urgency,
+            sent_at: self.sent_at,
+            sequence: self.sequence,
+            publisher: self.publisher,
+            missed: self.missed,
+            late: self.late,
+            replayed: self.replayed,
+            expires_at: self.expires_at,
+            method: self.method,
+        }
+    }
+}
+
+impl<T> Message<T> {
+    /// Returns why the message has no value, if it has none.
+    pub fn problem(&self) -> Option<&PayloadError> {
+        self.value.as_ref().err()
     }
 
     /// Returns whether the message has expired at that time.

@@ -4,6 +4,7 @@ pub mod decoder;
 pub mod endpoint;
 pub mod inquiry;
 pub mod login;
+pub mod name_check;
 pub mod peers;
 pub mod publication;
 pub mod router;

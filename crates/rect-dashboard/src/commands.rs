@@ -4,7 +4,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::{Name, NamedConnection, Topic};
+use rect::{Name, NamedConnection, Payload, Topic};
 use rect_core::message::payload;
 use rect_recording::view;
 use serde_json::{json, Value};
@@ -132,7 +132,7 @@ async fn request(app: &App, robot: &str, topic: &str, value: String) -> Answer {
     let reply = app
         .robot
         .with_timeout(TIMEOUT)
-        .request(name, topic, payload::typed(value))
+        .request::<Payload>(name, topic, payload::typed(value))
         .await
         .map_err(text)?;
     Ok(json!({"reply": view::value(&reply.payload), "ms": milliseconds(started)}))

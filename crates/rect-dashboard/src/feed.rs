@@ -150,7 +150,7 @@ impl Feed {
             });
         } else {
             let pattern = Pattern::of(Some(topic.robot.clone()), topic.topic.as_str())?;
-            let subscriber = robot.subscribe_with(pattern, queue).await?;
+            let subscriber = robot.subscribe_with::<Payload>(pattern, queue).await?;
             receiving.spawn(async move {
                 while let Some(message) = subscriber.next().await {
                     let Some(feed) = feed.upgrade() else { return };
@@ -187,8 +187,8 @@ impl Feed {
 
 impl Value {
     fn of_message(message: Message) -> Self {
+        let problem = message.problem().map(ToString::to_string);
         let value = Self::of(message.payload);
-        let problem = message.problem.map(|problem| problem.to_string());
         Self {
             sent_ms: message.sent_at.map(ms_since_1970),
             missed: message.missed,

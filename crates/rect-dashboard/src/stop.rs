@@ -9,7 +9,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::{Error, Event, Name, Robot, Topic};
+use rect::{Error, Event, Name, Payload, Robot, Topic};
 use tokio::{task::JoinSet, time::sleep};
 
 use self::answers::{Answer, Answers};
@@ -188,7 +188,9 @@ impl Stop {
 
     async fn receive_all(self: &Arc<Self>, number: u64) -> Result<(), Error> {
         let urgent = self.robot.urgent().with_timeout(WITHIN);
-        let mut replies = urgent.request_all(self.service.clone(), "").await?;
+        let replies = urgent
+            .request_all::<Payload>(self.service.clone(), "")
+            .await?;
         let mut by_name = pin!(sleep(ASKED_BY_NAME_AFTER));
         let mut is_asked_by_name = false;
         for _ in 0..MAX_REPLIES {
@@ -232,7 +234,7 @@ impl Stop {
         run.tasks.spawn(async move {
             while stop.is_asking(number, &robot) {
                 let urgent = stop.robot.urgent().with_timeout(WITHIN);
-                let asked = urgent.request(robot.clone(), stop.service.clone(), "");
+                let asked = urgent.request::<Payload>(robot.clone(), stop.service.clone(), "");
                 let answer = match asked.await {
                     Ok(_) => return stop.on_confirmed(number, robot),
                     Err(Error::NoService { .. }) => {

@@ -7,10 +7,10 @@
 //!
 //! let robot = rect::blocking::connect("wombat-1")?;
 //! robot.publish("arm/angle", rect::Json(12.5))?;
-//! for message in robot.subscribe("wombat-2/**")? {
-//!     println!("{}: {:?}", message.sender, message.payload);
+//! for message in robot.subscribe::<f64>("*/arm/angle")? {
+//!     println!("{}: {}", message.sender, message.value?);
 //! }
-//! let reply = robot.request("wombat-2", "battery", "")?;
+//! let volts = robot.request::<f64>("wombat-2", "battery", "")?.value;
 //! # Ok::<(), rect::Error>(())
 //! ```
 mod publisher;
@@ -30,8 +30,8 @@ pub use self::{
     transfer::Transfers,
 };
 use crate::{
-    session, Connection, Counters, Error, Event, Message, Name, NamedConnection, Options, Pattern,
-    QueueOptions, Reply, Service, ToPayload, Topic, Urgency,
+    session, Connection, Counters, Error, Event, FromPayload, Message, Name, NamedConnection,
+    Options, Pattern, Payload, QueueOptions, Reply, Service, ToPayload, Topic, Urgency,
 };
 use rect_core::codec::{dictionary::Dictionary, Codec};
 
@@ -49,8 +49,8 @@ pub struct Robot {
 ///
 /// The iterator blocks until the next message, and ends when the session is closed. Dropping it ends the subscription.
 #[derive(Debug)]
-pub struct Subscriber {
-    subscriber: session::Subscriber,
+pub struct Subscriber<T: FromPayload = Payload> {
+    subscriber: session::Subscriber<T>,
     runtime: Arc<Runtime>,
 }
 
@@ -58,8 +58,8 @@ pub struct Subscriber {
 ///
 /// The iterator blocks until the next reply, and ends when all services have replied. Dropping it cancels the request.
 #[derive(Debug)]
-pub struct Replies {
-    replies: session::Replies,
+pub struct Replies<T: FromPayload = Payload> {
+    replies: session::Replies<T>,
     runtime: Arc<Runtime>,
 }
 
@@ -173,10 +173,11 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::publish`].
-    pub fn publish<T: TryInto<Topic>>(&self, topic: T, value: impl ToPayload) -> Result<(), Error>
-    where
-        Error: From<T::Error>,
-    {
+    pub fn publish(
+        &self,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
+        value: impl ToPayload,
+    ) -> Result<(), Error> {
         self.runtime.complete(self.robot.publish(topic, value))
     }
 
@@ -184,15 +185,12 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::send`].
-    pub fn send<N: TryInto<Name>, T: TryInto<Topic>>(
+    pub fn send(
         &self,
-        robot: N,
-        topic: T,
+        robot: impl TryInto<Name, Error: Into<Error>>,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
         value: impl ToPayload,
-    ) -> Result<(), Error>
-    where
-        Error: From<N::Error> + From<T::Error>,
-    {
+    ) -> Result<(), Error> {
         self.runtime.complete(self.robot.send(robot, topic, value))
     }
 
@@ -200,19 +198,18 @@ impl Robot {
     ///
     /// ```no_run
     /// # fn subscribe(robot: rect::blocking::Robot) -> Result<(), rect::Error> {
-    /// for message in robot.subscribe("*/arm/angle")? {
-    ///     let angle: f64 = message.payload.value()?;
-    ///     println!("{}: {angle}", message.sender);
+    /// for message in robot.subscribe::<f64>("*/arm/angle")? {
+    ///     println!("{}: {}", message.sender, message.value?);
     /// }
     /// # Ok(()) }
     /// ```
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::subscribe`].
-    pub fn subscribe<P: TryInto<Pattern>>(&self, pattern: P) -> Result<Subscriber, Error>
-    where
-        Error: From<P::Error>,
-    {
+    pub fn subscribe<T: FromPayload>(
+        &self,
+        pattern: impl TryInto<Pattern, Error: Into<Error>>,
+    ) -> Result<Subscriber<T>, Error> {
         self.subscribe_with(pattern, QueueOptions::default())
     }
 
@@ -220,14 +217,11 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::subscribe`].
-    pub fn subscribe_with<P: TryInto<Pattern>>(
+    pub fn subscribe_with<T: FromPayload>(
         &self,
-        pattern: P,
+        pattern: impl TryInto<Pattern, Error: Into<Error>>,
         queue: QueueOptions,
-    ) -> Result<Subscriber, Error>
-    where
-        Error: From<P::Error>,
-    {
+    ) -> Result<Subscriber<T>, Error> {
         let subscribed = self.robot.subscribe_with(pattern, queue);
         Ok(Subscriber {
             subscriber: self.runtime.wait(subscribed)?,
@@ -243,43 +237,37 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::on_message`].
-    pub fn on_message<P: TryInto<Pattern>>(
+    pub fn on_message<T: FromPayload>(
         &self,
-        pattern: P,
-        callback: impl FnMut(Message) + Send + 'static,
-    ) -> Result<Subscription, Error>
-    where
-        Error: From<P::Error>,
-    {
-        self.on_message_with(pattern, QueueOptions::default(), callback)
+        pattern: impl TryInto<Pattern, Error: Into<Error>>,
+        callback: impl FnMut(Message<T::Value>) + Send + 'static,
+    ) -> Result<Subscription, Error> {
+        self.on_message_with::<T>(pattern, QueueOptions::default(), callback)
     }
 
     /// Calls `callback` for each message that matches `pattern`, with other settings of the receive queue.
     ///
     /// # Errors
     /// Returns the same errors as [`on_message`](Self::on_message).
-    pub fn on_message_with<P: TryInto<Pattern>>(
+    pub fn on_message_with<T: FromPayload>(
         &self,
-        pattern: P,
+        pattern: impl TryInto<Pattern, Error: Into<Error>>,
         queue: QueueOptions,
-        callback: impl FnMut(Message) + Send + 'static,
-    ) -> Result<Subscription, Error>
-    where
-        Error: From<P::Error>,
-    {
-        let subscribed = self.robot.subscribe_with(pattern, queue);
+        callback: impl FnMut(Message<T::Value>) + Send + 'static,
+    ) -> Result<Subscription, Error> {
+        let subscribed = self.robot.subscribe_with::<T>(pattern, queue);
         let subscriber = self.runtime.wait(subscribed)?;
-        Subscription::start(self.runtime.clone(), subscriber, callback)
+        Subscription::start::<T>(self.runtime.clone(), subscriber, callback)
     }
 
     /// Declares a publisher of `topic`, which knows whether there are subscribers.
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::publisher`].
-    pub fn publisher<T: TryInto<Topic>>(&self, topic: T) -> Result<Publisher, Error>
-    where
-        Error: From<T::Error>,
-    {
+    pub fn publisher<T>(
+        &self,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
+    ) -> Result<Publisher<T>, Error> {
         Ok(Publisher {
             publisher: self.runtime.wait(self.robot.publisher(topic))?,
             runtime: self.runtime.clone(),
@@ -306,10 +294,11 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::wait_for_peer`].
-    pub fn wait_for_peer<N: TryInto<Name>>(&self, robot: N, timeout: Duration) -> Result<(), Error>
-    where
-        Error: From<N::Error>,
-    {
+    pub fn wait_for_peer(
+        &self,
+        robot: impl TryInto<Name, Error: Into<Error>>,
+        timeout: Duration,
+    ) -> Result<(), Error> {
         self.runtime.wait(self.robot.wait_for_peer(robot, timeout))
     }
 
@@ -327,32 +316,26 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::wait_for_message`].
-    pub fn wait_for_message<P: TryInto<Pattern>>(
+    pub fn wait_for_message<T: FromPayload>(
         &self,
-        pattern: P,
+        pattern: impl TryInto<Pattern, Error: Into<Error>>,
         timeout: Duration,
-    ) -> Result<Message, Error>
-    where
-        Error: From<P::Error>,
-    {
+    ) -> Result<Message<T::Value>, Error> {
         self.runtime
-            .wait(self.robot.wait_for_message(pattern, timeout))
+            .wait(self.robot.wait_for_message::<T>(pattern, timeout))
     }
 
     /// Sends a request to the service `topic` of `robot`, and blocks until its first reply.
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::request`].
-    pub fn request<N: TryInto<Name>, T: TryInto<Topic>>(
+    pub fn request<T: FromPayload>(
         &self,
-        robot: N,
-        topic: T,
+        robot: impl TryInto<Name, Error: Into<Error>>,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
         value: impl ToPayload,
-    ) -> Result<Reply, Error>
-    where
-        Error: From<N::Error> + From<T::Error>,
-    {
-        let asked = self.robot.request(robot, topic, value);
+    ) -> Result<Reply<T::Value>, Error> {
+        let asked = self.robot.request::<T>(robot, topic, value);
         self.runtime.wait(asked)
     }
 
@@ -361,15 +344,12 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::request_all`].
-    pub fn request_all<T: TryInto<Topic>>(
+    pub fn request_all<T: FromPayload>(
         &self,
-        topic: T,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
         value: impl ToPayload,
-    ) -> Result<Replies, Error>
-    where
-        Error: From<T::Error>,
-    {
-        let asked = self.robot.request_all(topic, value);
+    ) -> Result<Replies<T>, Error> {
+        let asked = self.robot.request_all::<T>(topic, value);
         Ok(Replies {
             replies: self.runtime.wait(asked)?,
             runtime: self.runtime.clone(),
@@ -392,10 +372,12 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::serve`].
-    pub fn serve<T, F, V, E>(&self, topic: T, answer: F) -> Result<Service, Error>
+    pub fn serve<F, V, E>(
+        &self,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
+        answer: F,
+    ) -> Result<Service, Error>
     where
-        T: TryInto<Topic>,
-        Error: From<T::Error>,
         F: Fn(&session::Request) -> Result<V, E> + Send + Sync + 'static,
         V: ToPayload + Send + 'static,
         E: ToPayload + Send + From<&'static str> + 'static,
@@ -469,11 +451,11 @@ impl Robot {
     }
 }
 
-impl Subscriber {
+impl<T: FromPayload> Subscriber<T> {
     /// Blocks until the next message; returns `None` if none arrives within `timeout`, or if the session is closed.
     ///
     /// If the timeout expires while the dictionary of a message is fetched, the next call returns that message.
-    pub fn next_timeout(&mut self, timeout: Duration) -> Option<Message> {
+    pub fn next_timeout(&mut self, timeout: Duration) -> Option<Message<T::Value>> {
         let next = async { tokio::time::timeout(timeout, self.subscriber.next()).await };
         self.runtime.wait(next).ok().flatten()
     }
@@ -484,16 +466,16 @@ impl Subscriber {
     }
 }
 
-impl Iterator for Subscriber {
-    type Item = Message;
+impl<T: FromPayload> Iterator for Subscriber<T> {
+    type Item = Message<T::Value>;
 
-    fn next(&mut self) -> Option<Message> {
+    fn next(&mut self) -> Option<Message<T::Value>> {
         self.runtime.wait(self.subscriber.next())
     }
 }
 
-impl Iterator for Replies {
-    type Item = Result<Reply, Error>;
+impl<T: FromPayload> Iterator for Replies<T> {
+    type Item = Result<Reply<T::Value>, Error>;
 
     fn next(&mut self) -> Option<Self::Item> {
         self.runtime.wait(self.replies.next())

@@ -8,7 +8,7 @@ use rect_core::{
         topic::{Topic, TopicError},
         Name, NameError,
     },
-    session::{login::LoginRefused, router::WrongRobot},
+    session::{login::LoginRefused, name_check::reachable_robots, router::WrongRobot},
     stream::options::OptionError,
     text::humanize,
     transfer::{Fault, OfferError, Refusal},
@@ -22,9 +22,9 @@ use zenoh::session::SessionClosedError;
 /// ```no_run
 /// # use std::time::Duration;
 /// # async fn ask(robot: rect::Robot) -> Result<(), rect::Error> {
-/// match robot.request("wombat-2", "battery", "").await {
-///     Ok(reply) => println!("{:?}", reply.payload),
-///     Err(rect::Error::NoService { available, .. }) => println!("reachable robots: {available}"),
+/// match robot.request::<f64>("wombat-2", "battery", "").await {
+///     Ok(reply) => println!("{}", reply.value),
+///     Err(rect::Error::NoService { available, .. }) => println!("reachable robots: {available:?}"),
 ///     Err(error) => return Err(error),
 /// }
 /// # Ok(()) }
@@ -76,14 +76,14 @@ pub enum Error {
         source: zenoh::Error,
     },
     /// No program provides the service. Is the robot reachable, and is its program running?
-    #[error("no program serves {topic} at {robot}; reachable robots: {available}")]
+    #[error("no program serves {topic} at {robot}; {}", reachable_robots(.robot, .available))]
     NoService {
         /// The robot that was asked.
-        robot: String,
+        robot: Name,
         /// The topic of the service.
         topic: String,
-        /// The names of the reachable robots, separated by commas; `none` if there is none.
-        available: String,
+        /// The reachable robots.
+        available: Vec<Name>,
     },
     /// The timeout expired. Try again, set a longer timeout, or check the link (`rect connections`).
     #[error("no {expected} within {}", humanize::duration(*.timeout))]
@@ -195,21 +195,12 @@ impl From<std::convert::Infallible> for Error {
     }
 }
 
-impl Error {
-    /// Creates the error that no program of `robot` serves `topic`. `available` are the reachable robots.
-    pub(crate) fn no_service(robot: String, topic: String, available: &[Name]) -> Self {
-        let names: Vec<&str> = available.iter().map(Name::as_str).collect();
-        let available = match names.as_slice() {
-            [] => "none".to_owned(),
-            names => names.join(", "),
-        };
-        Self::NoService {
-            robot,
-            topic,
-            available,
-        }
-    }
+/// Returns an argument of a call as the type that it stands for.
+pub(crate) fn valid<T>(argument: impl TryInto<T, Error: Into<Error>>) -> Result<T, Error> {
+    argument.try_into().map_err(Into::into)
+}
 
+impl Error {
     /// Returns a function that converts an error of Zenoh. `operation` states what failed, in the form "cannot ...".
     pub(crate) fn zenoh(operation: &'static str) -> impl FnOnce(zenoh::Error) -> Self {
         move |source| {

@@ -36,7 +36,8 @@ pub use rect_core::{
         counters::Counters,
         encoding::Encoding,
         gaps::SenderCounts,
-        payload::{Cbor, Json, Payload, PayloadError, ToPayload},
+        mismatch::Mismatch,
+        payload::{Cbor, FromPayload, Json, Payload, PayloadError, ToPayload, ValueOf},
         queue::WhenFull,
         urgency::Urgency,
         Message,
@@ -64,3 +65,5 @@ pub use rect_core::{
 };
 #[cfg(feature = "recording")]
 pub use rect_recording as recording;
+/// A value of any type, for programs that do not know which one arrives: what JSON can express.
+pub use serde_json::Value;

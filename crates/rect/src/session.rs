@@ -6,6 +6,7 @@ mod declared;
 mod decoder;
 mod events;
 mod executor;
+mod next_item;
 mod options;
 mod publication;
 mod publisher;
@@ -28,6 +29,7 @@ mod threads;
 mod transfer;
 mod urgency_sessions;
 mod waiting;
+mod warnings;
 
 pub use events::Events;
 pub use options::{connect, Options};

@@ -108,6 +108,9 @@ public:
     /// this robot, or if the method is not known.
     [[nodiscard]] std::string_view method() const noexcept { return detail::view(raw_.method); }
 
+    /// Returns the struct of rect.h.
+    [[nodiscard]] const rect_message& raw() const noexcept { return raw_; }
+
 private:
     rect_message raw_;
 };

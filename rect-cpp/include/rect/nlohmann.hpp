@@ -1,6 +1,6 @@
 /// @file
-/// Publishes and reads values as JSON and CBOR with nlohmann::json: every type that it can convert can be published, and
-/// `payload.value<T>()` returns it again.
+/// Publishes and reads values as JSON and CBOR with nlohmann::json: every type that it can convert can be published, received with
+/// `robot.subscribe<T>`, and read with `payload.value<T>()`.
 ///
 ///     struct Reading { double degrees; };
 ///     NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(Reading, degrees)
@@ -8,8 +8,14 @@
 #ifndef RECT_NLOHMANN_HPP
 #define RECT_NLOHMANN_HPP
 
+// Lets the errors of nlohmann::json name the place of a value that does not fit. Without effect if the program has included
+// nlohmann/json.hpp before.
+#ifndef JSON_DIAGNOSTICS
+#define JSON_DIAGNOSTICS 1
+#endif
 #include <nlohmann/json.hpp>
 #include <string>
+#include <string_view>
 #include <type_traits>
 #include <utility>
 
@@ -71,8 +77,13 @@ inline expected<nlohmann::json> read_json(const PayloadView& payload) {
     using Json = nlohmann::json;
     const auto encoding = payload.encoding();
     const bool is_cbor = encoding == "application/cbor";
-    if (!is_cbor && encoding != "application/json" && encoding != "text/json") {
-        return failed(Code::payload, "the payload is " + std::string(encoding) + ", but JSON or CBOR is required");
+    const bool is_json = encoding == "application/json" || encoding == "text/json";
+    if (!is_cbor && !is_json) {
+        const auto text = payload.text();
+        if (text) {
+            return Json(std::string(*text));
+        }
+        return failed(Code::payload, "the payload is " + std::string(encoding) + ", but JSON, CBOR or text is required");
     }
     const auto bytes = payload.bytes();
     const auto* begin = bytes.data();
@@ -83,6 +94,86 @@ inline expected<nlohmann::json> read_json(const PayloadView& payload) {
         return failed(Code::payload, "the payload is not valid " + std::string(encoding) + ": " + depth.reason);
     }
     return is_cbor ? Json::from_cbor(begin, end) : Json::parse(begin, end);
+}
+
+/// Returns a value in words.
+inline std::string described(const nlohmann::json& value) {
+    constexpr std::size_t max_shown = 60;
+    const auto shortened = [](const std::string& text) {
+        return text.size() <= max_shown ? text : text.substr(0, max_shown - 3) + "...";
+    };
+    if (value.is_null()) {
+        return "nothing (null)";
+    }
+    if (value.is_boolean()) {
+        return value.get<bool>() ? "true" : "false";
+    }
+    if (value.is_number()) {
+        return "the number " + value.dump();
+    }
+    if (value.is_string()) {
+        return "the text '" + shortened(value.get_ref<const std::string&>()) + "'";
+    }
+    if (value.is_array()) {
+        return "a list of " + std::to_string(value.size());
+    }
+    if (value.is_binary()) {
+        return std::to_string(value.get_binary().size()) + " bytes";
+    }
+    std::string names;
+    for (auto field = value.begin(); field != value.end() && names.size() <= max_shown; ++field) {
+        names += (names.empty() ? "" : ", ") + field.key();
+    }
+    return names.empty() ? "an empty object" : "an object with the fields " + shortened(names);
+}
+
+/// Returns in words why a value does not fit a type, as the other languages do: "field percent: expected a number, found the text
+/// 'full'". `what` is the text of nlohmann::json, such as "[json.exception.type_error.302] (/percent) type must be number, but is
+/// string".
+inline std::string mismatch(const nlohmann::json& value, const std::string& what) {
+    const auto between = [&](std::string_view start, std::string_view end) -> std::string {
+        const auto begin = what.find(start);
+        if (begin == std::string::npos) {
+            return {};
+        }
+        const auto from = begin + start.size();
+        return what.substr(from, what.find(end, from) - from);
+    };
+    const auto place = between("] (", ") ");
+    const nlohmann::json* part = &value;
+    std::string field;
+    if (!place.empty()) {
+        nlohmann::json::json_pointer rest(place);
+        std::vector<std::string> steps;
+        for (; !rest.empty(); rest.pop_back()) {
+            steps.push_back(rest.back());
+        }
+        for (auto step = steps.rbegin(); step != steps.rend(); ++step) {
+            const bool is_index = part->is_array();
+            part = is_index ? &part->at(std::stoul(*step)) : &part->at(*step);
+            field += is_index ? "[" + *step + "]" : (field.empty() ? "" : ".") + *step;
+        }
+    }
+    const auto missing = between("key '", "' not found");
+    if (!missing.empty()) {
+        return "field " + field + (field.empty() ? "" : ".") + missing + ": expected a value, found no such field";
+    }
+    const auto found = ", found " + described(*part);
+    const auto start = field.empty() ? std::string() : "field " + field + ": ";
+    const auto type = between("type must be ", ", but is ");
+    if (type.empty()) {
+        return start + "expected another value (" + what.substr(what.find("] ") + 2) + ")" + found;
+    }
+    const std::pair<std::string_view, const char*> words[] = {
+        {"number", "a number"}, {"string", "text"},      {"boolean", "true or false"},
+        {"array", "a list"},    {"object", "an object"}, {"null", "nothing (null)"},
+    };
+    for (const auto& [name, expected] : words) {
+        if (name == type) {
+            return start + "expected " + expected + found;
+        }
+    }
+    return start + "expected " + type + found;
 }
 
 template <class T>
@@ -102,8 +193,8 @@ struct Adapter<T, detail::if_json<T>> {
             return detail::failed(Code::payload, std::string("this value cannot be written as JSON: ") + error.what());
         }
     }
-    /// Reads a value from JSON or CBOR, depending on the encoding. Fails with Code::payload if the payload is something
-    /// else, is damaged, or does not match the type.
+    /// Reads a value from JSON, CBOR or text, depending on the encoding. Fails with Code::payload if the payload is something
+    /// else, is damaged, or does not fit the type; the text names the field then.
     static expected<T> from_payload(const PayloadView& payload) {
         const auto json = detail::read_json(payload);
         if (!json) {
@@ -112,7 +203,7 @@ struct Adapter<T, detail::if_json<T>> {
         try {
             return json->template get<T>();
         } catch (const nlohmann::json::exception& error) {
-            return detail::failed(Code::payload, std::string("the payload does not match the requested type: ") + error.what());
+            return detail::failed(Code::payload, detail::mismatch(*json, error.what()));
         }
     }
 };

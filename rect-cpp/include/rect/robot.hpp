@@ -21,6 +21,7 @@
 #include "service.hpp"
 #include "stream.hpp"
 #include "transfer.hpp"
+#include "typed.hpp"
 
 namespace rect {
 inline namespace RECT_ABI {
@@ -102,12 +103,15 @@ public:
         });
     }
 
-    /// Creates a publisher of `topic`, with the urgency and codec of this handle. Fails with Code::topic if the topic is invalid.
-    [[nodiscard]] expected<Publisher> publisher(const Text& topic) const {
+    /// Creates a publisher of `topic`, with the urgency and codec of this handle: a PublisherOf with `publisher<Battery>("battery")`,
+    /// otherwise a Publisher of any values. Fails with Code::topic if the topic is invalid.
+    template <class T = void>
+    [[nodiscard]] expected<typename detail::Typed<T>::Publisher> publisher(const Text& topic) const {
+        using Created = typename detail::Typed<T>::Publisher;
         rect_publisher publisher;
         rect_error error;
         const auto code = rect_robot_publisher(raw(), topic.c_str(), &publisher, &error);
-        return detail::value_or_error<Publisher>(code, error, [&] { return Publisher(publisher.id); });
+        return detail::value_or_error<Created>(code, error, [&] { return Created(publisher.id); });
     }
 
     /// Records messages to the file `path`, which ends in `.mcap`, until Recorder::finish is called, with the events of this robot,
@@ -143,46 +147,59 @@ public:
         });
     }
 
-    /// Waits for the next message that matches `pattern`, published or sent to this robot. Earlier messages are not returned.
-    /// Fails with Code::timed_out if there is none within `timeout`.
-    [[nodiscard]] expected<Message> wait_for_message(const Text& pattern, Milliseconds timeout) const {
+    /// Waits for the next message that matches `pattern`, published or sent to this robot: a MessageOf with
+    /// `wait_for_message<Battery>(...)`, otherwise a Message. Earlier messages are not returned. Fails with Code::timed_out if there
+    /// is none within `timeout`.
+    template <class T = void>
+    [[nodiscard]] expected<typename detail::Typed<T>::Message> wait_for_message(const Text& pattern, Milliseconds timeout) const {
+        using Typed = detail::Typed<T>;
         rect_message message;
         rect_error error;
         const auto code = rect_robot_wait_for_message(raw(), pattern.c_str(), detail::ms(timeout), &message, &error);
-        return detail::value_or_error<Message>(code, error, [&] { return Message(message); });
+        return detail::value_or_error<typename Typed::Message>(code, error, [&] { return Typed::message(message, raw()); });
     }
 
     /// Subscribes to a pattern: `<robot>/<topic>` with wildcards, e.g. `*/arm/*`. The Subscriber receives the matching
-    /// messages that are published, and those that are sent to this robot. Fails with Code::topic or Code::name if the
-    /// pattern is invalid.
-    [[nodiscard]] expected<Subscriber> subscribe(const Text& pattern, QueueOptions queue = {}) const {
+    /// messages that are published, and those that are sent to this robot: a SubscriberOf with `subscribe<Battery>("*/battery")`,
+    /// otherwise a Subscriber of any values. Fails with Code::topic or Code::name if the pattern is invalid.
+    template <class T = void>
+    [[nodiscard]] expected<typename detail::Typed<T>::Subscriber> subscribe(const Text& pattern, QueueOptions queue = {}) const {
+        using Typed = detail::Typed<T>;
         const auto raw_queue = detail::raw(queue);
         rect_subscriber subscriber;
         rect_error error;
         const auto code = rect_robot_subscribe(raw(), pattern.c_str(), &raw_queue, &subscriber, &error);
-        return detail::value_or_error<Subscriber>(code, error, [&] { return Subscriber(subscriber.id); });
+        return detail::value_or_error<typename Typed::Subscriber>(code, error,
+                                                                  [&] { return Typed::subscriber(subscriber.id, raw()); });
     }
 
-    /// Calls `function(const rect::MessageView&)` for each message that matches a pattern, one after another, on a thread of
-    /// its own, until the Subscription is destroyed. The function may use all of RECT. Exceptions that it throws are passed
-    /// to the function of rect::on_callback_error. Fails with Code::topic or Code::name if the pattern is invalid.
-    template <class F, class = std::enable_if_t<std::is_invocable_v<std::decay_t<F>&, const MessageView&>>>
+    /// Calls `function(const rect::MessageView&)`, or with `subscribe<Battery>(...)` `function(const rect::MessageOf<Battery>&)`, for
+    /// each message that matches a pattern, one after another, on a thread of its own, until the Subscription is destroyed. The
+    /// function may use all of RECT. Exceptions that it throws are passed to the function of rect::on_callback_error. Fails with
+    /// Code::topic or Code::name if the pattern is invalid.
+    template <class T = void, class F,
+              class = std::enable_if_t<std::is_invocable_v<std::decay_t<F>&, const typename detail::Typed<T>::MessageView&>>>
     [[nodiscard]] expected<Subscription> subscribe(const Text& pattern, F&& function, QueueOptions queue = {}) const {
         const auto raw_queue = detail::raw(queue);
-        return with_callback(std::forward<F>(function), [&](auto& callback, rect_subscription* subscription, rect_error* error) {
+        auto on_message = [function = std::decay_t<F>(std::forward<F>(function)), robot = raw()](const MessageView& message) mutable {
+            function(detail::Typed<T>::view(message, robot));
+        };
+        return with_callback(std::move(on_message), [&](auto& callback, rect_subscription* subscription, rect_error* error) {
             using C = std::decay_t<decltype(callback)>;
             return rect_robot_on_message(raw(), pattern.c_str(), &raw_queue, C::template call<rect_message, MessageView>,
                                          callback.context(), C::release, subscription, error);
         });
     }
 
-    /// Sends a request to the service `topic` of the robot `recipient`, and waits for the first reply.
+    /// Sends a request to the service `topic` of the robot `recipient`, and waits for the first reply: a ReplyOf with
+    /// `request<Pose>(...)`, otherwise a Reply with any value.
     ///
     /// Fails with Code::service if the service replies with an error, with Code::no_service if the robot does not offer the
-    /// service or is not reachable, and with Code::timed_out if there is no reply within `timeout`.
-    template <class T>
-    [[nodiscard]] expected<Reply> request(const Text& recipient, const Text& topic, const T& value,
-                                          Milliseconds timeout = default_timeout) const {
+    /// service or is not reachable, with Code::timed_out if there is no reply within `timeout`, and with Code::payload if the value
+    /// of the reply does not fit.
+    template <class R = void, class T>
+    [[nodiscard]] expected<typename detail::Typed<R>::Reply> request(const Text& recipient, const Text& topic, const T& value,
+                                                                     Milliseconds timeout = default_timeout) const {
         rect_reply reply;
         const auto requested = detail::with_payload(value, [&](const rect_payload& payload) {
             rect_error error;
@@ -190,20 +207,22 @@ public:
                 rect_robot_request(raw(), recipient.c_str(), topic.c_str(), &payload, detail::ms(timeout), &reply, &error);
             return detail::ok_or_error(code, error);
         });
-        return requested ? expected<Reply>(Reply(reply)) : unexpected<Error>(requested.error());
+        return requested ? detail::Typed<R>::reply(Reply(reply)) : unexpected<Error>(requested.error());
     }
 
-    /// Sends a request to the service `topic` of every robot that offers it. The replies arrive until all robots have
-    /// replied or `timeout` has passed.
-    template <class T>
-    [[nodiscard]] expected<Replies> request_all(const Text& topic, const T& value, Milliseconds timeout = default_timeout) const {
+    /// Sends a request to the service `topic` of every robot that offers it. The replies, RepliesOf with `request_all<Pose>(...)`,
+    /// arrive until all robots have replied or `timeout` has passed.
+    template <class R = void, class T>
+    [[nodiscard]] auto request_all(const Text& topic, const T& value, Milliseconds timeout = default_timeout) const
+        -> expected<std::conditional_t<std::is_void_v<R>, Replies, RepliesOf<R>>> {
+        using Created = std::conditional_t<std::is_void_v<R>, Replies, RepliesOf<R>>;
         rect_replies replies{};
         const auto requested = detail::with_payload(value, [&](const rect_payload& payload) {
             rect_error error;
             return detail::ok_or_error(
                 rect_robot_request_all(raw(), topic.c_str(), &payload, detail::ms(timeout), &replies, &error), error);
         });
-        return requested ? expected<Replies>(Replies(replies.id)) : unexpected<Error>(requested.error());
+        return requested ? expected<Created>(Created(replies.id)) : unexpected<Error>(requested.error());
     }
 
     /// Serves requests to `topic` with `function(const rect::Request&)`, which returns the reply. If the function throws a

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from typing import Any
 
+from rect import _rect
+
 
 class RectError(Exception):
     """Base class of all errors of RECT. The text says what happened and what to do."""
@@ -108,8 +110,7 @@ class NoService(RectError, LookupError):
     """No program of the robot serves the topic. Is the robot reachable, and is its program running?"""
 
     def __init__(self, robot: str, topic: str, available: list[str]) -> None:
-        names = ", ".join(available) or "none"
-        super().__init__(f"no program serves {topic} at {robot}; reachable robots: {names}")
+        super().__init__(f"no program serves {topic} at {robot}; {_rect.reachable_robots(robot, available)}")
         #: Names of the robots that are reachable.
         self.available = available
 

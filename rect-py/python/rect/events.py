@@ -53,7 +53,8 @@ class Counters:
     #: Messages of other Zenoh programs that were dropped because their topic is invalid in RECT: it contains control
     #: characters or reserved parts, or is longer than 200 bytes.
     rejected: int
-    #: Messages and requests whose value does not fit the type that the program states.
+    #: Messages whose payload cannot be decoded, and messages and requests whose value does not fit the type that the
+    #: program states.
     problems: int
 
 

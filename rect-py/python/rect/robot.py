@@ -9,7 +9,7 @@ from typing import Any, Union, overload
 
 import zenoh
 
-from rect import _rect, registry
+from rect import _rect, advice, registry
 from rect.choices import LossyFormat, StreamMode, Urgency, WhenFull
 from rect.errors import NoService, OptionError
 from rect.events import Counters, Event, Events
@@ -236,6 +236,7 @@ class Robot:
         self._session.check()
         converter = converter_of(type)
         inbound = _rect.Inbound(self._session.key_space, text("pattern", pattern))
+        advice.on_pattern(self._session, pattern)
         subscriber = Subscriber(self._session, inbound, pattern, converter, capacity, when_full)
         return subscriber if callback is None else Subscription(subscriber, callback, pattern)
 
@@ -297,6 +298,7 @@ class Robot:
         self._session.check()
         timeout = seconds("timeout", timeout)
         driver = _rect.peer_wait(self._session.key_space, text("robot", robot), timeout)
+        advice.on_robot(self._session, robot)
         registry.wait(self._session, driver, lambda: _rect.expected_connection(robot, self.peers()), timeout)
 
     def wait_until_established(self, timeout: float) -> None:

@@ -15,6 +15,7 @@ import zenoh
 
 from rect import _rect
 from rect._zenoh import direct, payload_bytes, zenoh_error
+from rect.advice import on_problem
 from rect.declared import Declared
 from rect.errors import CodecError, MismatchError, PayloadError, RectError
 from rect.message import UNREAD
@@ -188,7 +189,7 @@ class Requests:
                 request.fit(self._converter)
         except PayloadError as error:
             if not isinstance(error, CodecError):
-                self._session.problems.on_problem(sender, request.topic, error)
+                on_problem(self._session, sender, request.topic, error)
             request.refuse(f"{request.topic}: {error}" if isinstance(error, MismatchError) else str(error))
             request.close()
             return False

@@ -15,11 +15,10 @@ from typing import Any, Protocol
 
 import zenoh
 
-from rect import _rect
+from rect import _rect, advice
 from rect._zenoh import call_interruptibly, qos, zenoh_error
 from rect.errors import Closed, ThreadError
 from rect.options import Options
-from rect.problems import Problems
 from rect.publication import Publication
 from rect.receive_queue import ReceiveQueue
 from rect.urgency_sessions import UrgencySessions
@@ -75,7 +74,7 @@ class Session:
         #: Decodes payloads; set when the session is complete.
         self.decoder: Decoding
         self.counters = _rect.AtomicCounters()
-        self.problems = Problems(self.counters)
+        self.used_names = _rect.UsedNames()
         #: Handles with open declarations.
         self.handles: set[Declaring] = set()
         #: Garbage-collected handles; `check` ends them, since that may block.
@@ -119,6 +118,7 @@ class Session:
         publication = self._publications.get(key_parts)
         if publication is not None:
             return publication
+        advice.on_topic(self, topic)
         key = self.key_space.publication(topic, recipient)
         service = qos(_rect.qos(urgency, expires))
         with self.calls:

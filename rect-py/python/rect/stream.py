@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import zenoh
 
-from rect import _rect
+from rect import _rect, advice
 from rect._zenoh import zenoh_error
 from rect.deadline import Deadline
 from rect.errors import OptionError, PayloadError, TimedOut
@@ -178,6 +178,7 @@ class Watcher:
         self._executor = Executor(session, self._core.driver(), self._queue.queue, queue=self._queue)
         self._executor.start("rect watch")
         self._executor.leave_with(self)
+        advice.on_stream(session, stream)
 
     def next(self, timeout: float | None = None) -> Frame:
         """Waits for a frame that was not returned yet and returns it. By default that is the newest frame.

@@ -12,6 +12,7 @@ import zenoh
 
 from rect import _rect
 from rect._zenoh import direct, zenoh_error
+from rect.advice import on_problem
 from rect.deadline import Deadline
 from rect.declared import Declared
 from rect.errors import CodecError, TimedOut
@@ -145,11 +146,10 @@ class Subscriber(Generic[T]):
 
     def fitted(self, message: Message[T]) -> Message[T]:
         """Converts the value of a decoded message to the type that the program has stated, or sets `problem`."""
-        if self._converter is not None:
-            if message.problem is None:
-                message.fit(self._converter)
-            if message.problem is not None:
-                self._session.problems.on_problem(message.sender, message.topic, message.problem)
+        if self._converter is not None and message.problem is None:
+            message.fit(self._converter)
+        if message.problem is not None:
+            on_problem(self._session, message.sender, message.topic, message.problem)
         return message
 
 

@@ -67,6 +67,12 @@ impl ToPython for () {
     }
 }
 
+impl ToPython for String {
+    fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        self.into_py_any(py)
+    }
+}
+
 impl ToPython for Vec<Name> {
     fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
         let names: Vec<&str> = self.iter().map(Name::as_str).collect();

@@ -4,11 +4,15 @@ use std::time::{Duration, SystemTime};
 use pyo3::prelude::*;
 use rect_core::{
     clock::unix::ms_since_1970,
+    name::Name,
     registry::{
         observer::{Observer, RouterObserver},
         RegistryQuery,
     },
-    session::peers::{self, DirectPresence, EstablishedWait, PeerWait, PeersQuery},
+    session::{
+        name_check,
+        peers::{self, DirectPresence, EstablishedWait, PeerWait, PeersQuery},
+    },
 };
 
 use super::Driver;
@@ -23,14 +27,26 @@ pub fn peers_query(key_space: &KeySpace) -> Driver {
     Driver::new(PeersQuery::new(key_space.0.clone()), &Clock::new())
 }
 
+/// Returns in words which robots are reachable, for a program that uses `robot`, which is not.
+#[pyfunction]
+pub fn reachable_robots(robot: &str, reachable: Vec<String>) -> PyResult<String> {
+    Ok(name_check::reachable_robots(
+        &name(robot)?,
+        &names(&reachable)?,
+    ))
+}
+
+fn names(texts: &[String]) -> PyResult<Vec<Name>> {
+    texts.iter().map(|text| name(text)).collect()
+}
+
 /// Returns the description of a connection with a robot that is not among the reachable ones.
 #[pyfunction]
 pub fn expected_connection(robot: &str, reachable: Vec<String>) -> PyResult<String> {
-    let reachable = reachable
-        .iter()
-        .map(|robot| name(robot))
-        .collect::<PyResult<Vec<_>>>()?;
-    Ok(peers::expected_connection(&name(robot)?, &reachable))
+    Ok(peers::expected_connection(
+        &name(robot)?,
+        &names(&reachable)?,
+    ))
 }
 
 /// Creates the wait until a robot is reachable.

@@ -452,7 +452,7 @@ fn stop_command_survives_a_cut_and_old_drive_commands_do_not() {
     let (robot, base) = (join("wombat-1", &one), join("wombat-2", &two));
     let begun = Instant::now();
     let (sender, drives) = mpsc::channel();
-    let driving = robot.on_message("wombat-2/drive", move |message| {
+    let driving = robot.on_message::<rect::Payload>("wombat-2/drive", move |message| {
         let sent_ms: u64 = message.payload.value().expect("a number");
         let age = begun
             .elapsed()
@@ -461,7 +461,8 @@ fn stop_command_survives_a_cut_and_old_drive_commands_do_not() {
     });
     let _driving = runtime.block_on(driving).expect("subscribed");
     let (sender, stops) = mpsc::channel();
-    let stopping = robot.on_message("wombat-2/stop", move |_| sender.send(()).expect("counted"));
+    let stopping = robot
+        .on_message::<rect::Payload>("wombat-2/stop", move |_| sender.send(()).expect("counted"));
     let _stopping = runtime.block_on(stopping).expect("subscribed");
     let (urgent, steering) = (base.urgent(), base.urgent().expires_after(LIFETIME));
     let drive = || {

@@ -134,7 +134,7 @@ fn hello_prints_a_reply_and_messages_of_a_simulated_robot() {
     let Some(hello) = hello else {
         return;
     };
-    hello.wait_for("battery of wombat-2: {\"volts\":12.4");
+    hello.wait_for("battery of wombat-2: {\"percent\":");
     hello.wait_for("wombat-2 arm/angle: {\"degrees\":");
 }
 
@@ -147,6 +147,17 @@ fn telemetry_is_exchanged_in_both_directions() {
     let other = stage.start("telemetry", &["wombat-2"]).expect("built");
     other.wait_for("wombat-1: Telemetry { angle_deg");
     one.wait_for("wombat-2: Telemetry { angle_deg");
+}
+
+#[test]
+fn a_robot_with_a_low_battery_is_asked_for_its_pose() {
+    let stage = Stage::new();
+    let Some(one) = stage.start("rescue", &["wombat-1"]) else {
+        return;
+    };
+    let two = stage.start("rescue", &["wombat-2", "12"]).expect("built");
+    one.wait_for("wombat-2 needs help at 1.5, 0.5");
+    two.wait_for("wombat-1: 80 percent");
 }
 
 #[test]

@@ -3,7 +3,9 @@
 use std::time::{Duration, Instant};
 
 use crate::support::{ble, file, Air, Wombat, DEADLINE};
-use rect::{blocking::Robot, ConnectionState, Event, Json, NamedConnection, Options, Urgency};
+use rect::{
+    blocking::Robot, ConnectionState, Event, Json, NamedConnection, Options, Payload, Urgency,
+};
 use serde_json::json;
 use zenoh_link_ble_air::{control, Control};
 
@@ -46,7 +48,9 @@ fn programs_of_two_robots_communicate_over_ble_and_are_notified_of_the_link() {
     until("both know of each other", || {
         one.peers().expect("asked") == ["wombat-2"] && two.peers().expect("asked") == ["wombat-1"]
     });
-    let mut messages = two.subscribe("wombat-1/arm/*").expect("subscribed");
+    let mut messages = two
+        .subscribe::<Payload>("wombat-1/arm/*")
+        .expect("subscribed");
     let mut method = None;
     until("a message arrives by Bluetooth", || {
         one.publish("arm/angle", Json(12.5)).expect("published");
@@ -66,7 +70,7 @@ fn programs_of_two_robots_communicate_over_ble_and_are_notified_of_the_link() {
         .expect("served");
     let mut answer = None;
     until("the service is known", || {
-        answer = two.request("wombat-1", "battery", "").ok();
+        answer = two.request::<Payload>("wombat-1", "battery", "").ok();
         answer.is_some()
     });
     let volt: serde_json::Value = answer.expect("one").payload.value().expect("JSON");
@@ -108,7 +112,7 @@ fn urgent_and_large_messages_arrive() {
     let wombats = two(&air, &folder);
     let [one, two] = programs(&wombats);
     let (urgent, large) = (one.with_urgency(Urgency::Urgent), vec![7; 20_000]);
-    let mut messages = two.subscribe("wombat-1/*").expect("subscribed");
+    let mut messages = two.subscribe::<Payload>("wombat-1/*").expect("subscribed");
     let (mut has_stopped, mut is_whole) = (false, false);
     until("both arrive", || {
         urgent.publish("stop", "now").expect("published");
@@ -126,7 +130,7 @@ fn messages_lost_while_the_radio_is_cut_are_counted_as_missed() {
     let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
     let wombats = two(&air, &folder);
     let [one, two] = programs(&wombats);
-    let mut messages = two.subscribe("wombat-1/n").expect("subscribed");
+    let mut messages = two.subscribe::<Payload>("wombat-1/n").expect("subscribed");
     let mut number = 0;
     let mut publish = || {
         number += 1;

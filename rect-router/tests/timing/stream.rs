@@ -115,7 +115,7 @@ async fn one_camera([local, remote]: &[String; 2]) {
     let ages: Arc<Mutex<Vec<Duration>>> = Arc::default();
     let received_ages = ages.clone();
     let _urgent = receiver
-        .on_message("wombat-1/stop", move |message| {
+        .on_message::<Payload>("wombat-1/stop", move |message| {
             let sent_us: u64 = message.payload.value().expect("a number");
             let age = begun.elapsed() - Duration::from_micros(sent_us);
             received_ages.lock().expect("unpoisoned").push(age);

@@ -9,7 +9,7 @@ use std::{
 };
 
 use crate::support::{joined, simulated, Air, DEADLINE};
-use rect::Json;
+use rect::{Json, Payload};
 use zenoh_link_ble_air::{AirOptions, LlPayload};
 
 /// Time for which bulk messages are published as fast as the router accepts them.
@@ -37,19 +37,22 @@ async fn flood(local: &str, remote: &str) {
     let ages: Arc<Mutex<Vec<Duration>>> = Arc::default();
     let received_ages = ages.clone();
     let _stops = two
-        .on_message("wombat-1/stop", move |message| {
+        .on_message::<Payload>("wombat-1/stop", move |message| {
             let sent_us: u64 = message.payload.value().expect("a number");
             let age = begun.elapsed() - Duration::from_micros(sent_us);
             received_ages.lock().expect("unpoisoned").push(age);
         })
         .await
         .expect("subscribed");
-    let _maps = two.subscribe("wombat-1/map").await.expect("subscribed");
+    let _maps = two
+        .subscribe::<Payload>("wombat-1/map")
+        .await
+        .expect("subscribed");
     let _service = two
         .serve("battery", |_| async { Ok::<_, String>(Json(7.2)) })
         .await
         .expect("served");
-    let ask = || one.request("wombat-2", "battery", "");
+    let ask = || one.request::<Payload>("wombat-2", "battery", "");
     while ask().await.is_err() {
         assert!(begun.elapsed() < DEADLINE, "the service is known");
     }

@@ -119,7 +119,7 @@ async fn answer(
 ) -> Result<Vec<u8>, Failure> {
     let payload = view::payload(request.payload())?;
     let (asked, topic) = (service.robot.clone(), &service.topic);
-    let asked = robot.request(asked, topic, payload);
+    let asked = robot.request::<Payload>(asked, topic, payload);
     let reply = asked.await?;
     Ok(view::object(&reply.payload).to_string().into_bytes())
 }

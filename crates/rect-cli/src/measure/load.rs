@@ -1,7 +1,7 @@
 //! Sends a load to the other robot, as fast as the link carries it.
 use std::{sync::Arc, time::Duration};
 
-use rect::{Name, Robot, Urgency};
+use rect::{Name, Payload, Robot, Urgency};
 use tokio::{
     sync::Semaphore,
     time::{timeout, timeout_at},
@@ -34,7 +34,7 @@ pub async fn send(
     let acknowledged = window.clone();
     let pattern = format!("{other}/{ACKNOWLEDGEMENT}");
     let _acknowledgements = robot
-        .on_message(pattern.as_str(), move |_| {
+        .on_message::<Payload>(pattern.as_str(), move |_| {
             acknowledged.add_permits(ACKNOWLEDGED_BYTES);
         })
         .await?;

@@ -4,7 +4,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::{Json, Name, Robot, Service, Subscriber, ToPayload};
+use rect::{Json, Name, Payload, Robot, Service, Subscriber, ToPayload};
 use serde::{de::DeserializeOwned, Deserialize, Serialize};
 use tokio::{sync::watch, task::JoinHandle};
 
@@ -164,7 +164,7 @@ async fn request<T: DeserializeOwned>(
 ) -> Result<T, Failure> {
     let reply = robot
         .with_timeout(timeout)
-        .request(other, service, value)
+        .request::<Payload>(other, service, value)
         .await;
     let reply = reply.map_err(|error| not_served(other, &error))?;
     Ok(reply.payload.value()?)

@@ -1,7 +1,7 @@
 //! Measures the round trip to the other robot.
 use std::time::{Duration, Instant};
 
-use rect::{Name, Robot};
+use rect::{Name, Payload, Robot};
 use tokio::time::sleep;
 
 use super::{not_served, partner::ECHO};
@@ -57,7 +57,7 @@ pub async fn measure_while(
     let mut measured = RoundTrips::default();
     while goes_on() {
         let asked = Instant::now();
-        let reply = urgent.request(other, ECHO, [0u8; PING_BYTES]);
+        let reply = urgent.request::<Payload>(other, ECHO, [0u8; PING_BYTES]);
         match reply.await {
             Ok(_) => measured
                 .times_ms

@@ -135,7 +135,7 @@ fn recorded_at(folder: &Path, endpoint: &str) -> (blocking::Robot, Killed) {
         assert!(lines.read_line(&mut line).expect("text") > 0, "it ended");
     }
     std::thread::spawn(move || lines.lines().for_each(drop));
-    let publisher = robot.publisher("n").expect("declared");
+    let publisher = robot.publisher::<Payload>("n").expect("declared");
     publisher.wait_for_subscriber(TIMEOUT).expect("recording");
     (robot, recording)
 }
@@ -217,7 +217,9 @@ fn recorded_messages_are_replayed() {
         when_full: WhenFull::Block,
         ..QueueOptions::default()
     };
-    let mut messages = viewer.subscribe_with("a/**", queue).expect("subscribed");
+    let mut messages = viewer
+        .subscribe_with::<Payload>("a/**", queue)
+        .expect("subscribed");
     let mut replayed = Vec::new();
     while replayed.len() < 111 {
         let message = messages.next_timeout(TIMEOUT).expect("replayed");
@@ -274,7 +276,7 @@ fn replay_is_paused_and_stepped_by_keys() {
     let options = Options::new("viewer").expect("a name").login_file("/none");
     let options = options.router(&listen).timeout(TIMEOUT);
     let viewer = blocking::Robot::connect(options).expect("connected");
-    let mut messages = viewer.subscribe("z/**").expect("subscribed");
+    let mut messages = viewer.subscribe::<Payload>("z/**").expect("subscribed");
     let short = Duration::from_millis(300);
     assert!(messages.next_timeout(short).is_none(), "paused");
     let n =
@@ -361,7 +363,7 @@ fn part_of_a_running_recording_is_fetched() {
     let sent: Vec<String> = (0..400)
         .map(|n| format!("{n} {}", "x".repeat(1000)))
         .collect();
-    let publisher = robot.publisher("n").expect("declared");
+    let publisher = robot.publisher::<Payload>("n").expect("declared");
     for value in &sent {
         publisher.publish(value.as_str()).expect("published");
     }
@@ -433,13 +435,13 @@ fn requests_are_recorded_at_the_service() {
         Ok::<_, String>(Json(numbers.iter().sum::<f64>()))
     };
     let _service = robot.serve("sum", sum).expect("a service");
-    let reply = asking.request("wombat-1", "sum", Json([1, 2]));
+    let reply = asking.request::<Payload>("wombat-1", "sum", Json([1, 2]));
     let sum: f64 = reply.expect("a reply").payload.value().expect("a number");
     assert_eq!(sum, 3.0);
-    let large = asking.request("wombat-1", "sum", vec![7; 5000]);
+    let large = asking.request::<Payload>("wombat-1", "sum", vec![7; 5000]);
     assert!(large.is_err());
     // A recorder does not count as a service.
-    let nobody = asking.request("wombat-1", "difference", "now");
+    let nobody = asking.request::<Payload>("wombat-1", "difference", "now");
     assert!(
         matches!(nobody, Err(rect::Error::NoService { .. })),
         "{nobody:?}"

@@ -21,7 +21,8 @@ pub struct Counters {
     /// Messages of other Zenoh programs that were dropped because RECT does not allow their topic (control characters,
     /// more than 200 bytes, reserved parts).
     pub rejected: u64,
-    /// Messages and requests whose value does not fit the type that the program states.
+    /// Messages whose payload cannot be decoded, and messages and requests whose value does not fit the type that the program
+    /// states.
     pub problems: u64,
 }
 

@@ -2,7 +2,10 @@
 use bytes::Bytes;
 use serde::{de::DeserializeOwned, Serialize};
 
-use super::encoding::{Encoding, TooLong};
+use super::{
+    encoding::{Encoding, TooLong},
+    mismatch::{convert, Mismatch},
+};
 use crate::{cause::Cause, message::codec_error::CodecError};
 
 /// Bytes with their encoding. Clones share the bytes.
@@ -23,7 +26,7 @@ pub struct Payload {
 }
 
 /// A value cannot be converted into a payload, or a payload into a value.
-#[derive(Debug, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PayloadError {
     /// The value cannot be written in this format (in JSON, for example, a map with keys that are not text).
     #[error("this value cannot be written as {format}: {reason}")]
@@ -42,9 +45,8 @@ pub enum PayloadError {
         /// The actual encoding.
         found: Encoding,
     },
-    /// The payload has the expected encoding, but its bytes are not valid, or do not have the shape of the requested
-    /// type.
-    #[error("the payload is not valid {format}, or does not have the required shape: {reason}")]
+    /// The payload has the expected encoding, but its bytes are not valid.
+    #[error("the payload is not valid {format}: {reason}")]
     Read {
         /// The format: `JSON`, `CBOR` and so on.
         format: &'static str,
@@ -52,6 +54,9 @@ pub enum PayloadError {
         #[source]
         reason: Cause,
     },
+    /// The value does not fit the type that the program has stated.
+    #[error(transparent)]
+    Type(#[from] Mismatch),
     /// The encoding is too long to be sent.
     #[error(transparent)]
     Encoding(#[from] TooLong),
@@ -78,6 +83,63 @@ pub trait ToPayload {
         Self: Sized,
     {
         self.to_payload()
+    }
+}
+
+/// A type that a program states for the values that it receives: a type that serde deserializes, which values are
+/// converted to, or [`Payload`], for payloads as they are.
+pub trait FromPayload: Sized + 'static {
+    /// The value: the type itself, and nothing for `Payload`.
+    type Value: Send + 'static;
+
+    /// Returns the value of a payload.
+    ///
+    /// # Errors
+    /// Returns the errors of [`Payload::value`].
+    fn from_payload(payload: &Payload) -> Result<Self::Value, PayloadError>;
+}
+
+impl FromPayload for Payload {
+    type Value = ();
+
+    fn from_payload(_: &Payload) -> Result<(), PayloadError> {
+        Ok(())
+    }
+}
+
+impl<T: DeserializeOwned + Send + 'static> FromPayload for T {
+    type Value = T;
+
+    fn from_payload(payload: &Payload) -> Result<T, PayloadError> {
+        payload.value()
+    }
+}
+
+/// A value that a publisher of the type `T` publishes: a `T` or `&T`, which is sent as JSON. A publisher of [`Payload`]
+/// publishes everything that is [`ToPayload`].
+pub trait ValueOf<T> {
+    /// Converts the value into a payload.
+    ///
+    /// # Errors
+    /// Returns [`PayloadError::Write`] if the value cannot be written in its format.
+    fn payload(self) -> Result<Payload, PayloadError>;
+}
+
+impl<V: ToPayload> ValueOf<Payload> for V {
+    fn payload(self) -> Result<Payload, PayloadError> {
+        self.into_payload()
+    }
+}
+
+impl<T: Serialize> ValueOf<T> for T {
+    fn payload(self) -> Result<Payload, PayloadError> {
+        Json(self).to_payload()
+    }
+}
+
+impl<T: Serialize> ValueOf<T> for &T {
+    fn payload(self) -> Result<Payload, PayloadError> {
+        Json(self).to_payload()
     }
 }
 
@@ -120,20 +182,27 @@ impl Payload {
         std::str::from_utf8(&self.bytes).map_err(|error| read("text", error))
     }
 
-    /// Deserializes the payload from JSON or CBOR, depending on its encoding.
+    /// Deserializes the payload from JSON, CBOR or text, depending on its encoding.
     ///
     /// # Errors
-    /// Returns [`PayloadError::Mismatch`] if it is neither, and [`PayloadError::Read`] if it does not have the shape of
-    /// `T`.
+    /// Returns [`PayloadError::Mismatch`] if it is none of them, [`PayloadError::Read`] if its bytes are not valid, and
+    /// [`PayloadError::Type`] if its value does not fit `T`.
     pub fn value<T: DeserializeOwned>(&self) -> Result<T, PayloadError> {
         if self.is(&Encoding::JSON) || self.encoding.as_str() == "text/json" {
-            serde_json::from_slice(&self.bytes).map_err(|error| read("JSON", error))
+            serde_json::from_slice(&self.bytes).or_else(|error| {
+                let value = (error.is_data()).then(|| serde_json::from_slice(&self.bytes));
+                value_of_another_type(value.and_then(Result::ok), || read("JSON", error))
+            })
         } else if self.is(&Encoding::CBOR) {
-            // Deeper nesting is rejected, because a peer could overflow the stack with it.
-            ciborium::de::from_reader_with_recursion_limit(&*self.bytes, MAX_DEPTH)
-                .map_err(|error| read("CBOR", error))
+            read_cbor(&self.bytes).or_else(|error| {
+                let is_data = matches!(error, ciborium::de::Error::Semantic(..));
+                let value = is_data.then(|| read_cbor(&self.bytes));
+                value_of_another_type(value.and_then(Result::ok), || read("CBOR", error))
+            })
+        } else if self.encoding.is_text() {
+            Ok(convert(&self.text()?.into())?)
         } else {
-            Err(self.mismatch("JSON or CBOR"))
+            Err(self.mismatch("JSON, CBOR or text"))
         }
     }
 
@@ -144,6 +213,23 @@ impl Payload {
     pub(crate) fn mismatch(&self, expected: &'static str) -> PayloadError {
         let found = self.encoding.clone();
         PayloadError::Mismatch { expected, found }
+    }
+}
+
+/// Deeper nesting than [`MAX_DEPTH`] is rejected, because a peer could overflow the stack with it.
+fn read_cbor<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, ciborium::de::Error<std::io::Error>> {
+    ciborium::de::from_reader_with_recursion_limit(bytes, MAX_DEPTH)
+}
+
+/// Returns a value as a type for which its bytes could not be read. That takes longer than reading the bytes, and says which
+/// part does not fit. `error` is the error if the value is not known.
+fn value_of_another_type<T: DeserializeOwned>(
+    value: Option<serde_json::Value>,
+    error: impl FnOnce() -> PayloadError,
+) -> Result<T, PayloadError> {
+    match value {
+        Some(value) => Ok(convert(&value)?),
+        None => Err(error()),
     }
 }
 

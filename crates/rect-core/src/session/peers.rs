@@ -7,6 +7,7 @@ use std::{
 
 use serde_json::json;
 
+use super::name_check::reachable_robots;
 use crate::{
     clock::MillisecondClock,
     driver::{
@@ -34,12 +35,10 @@ const OWN_CLOCK: Id = Id(1);
 
 /// Returns the description of a connection with `robot`, for which a program has waited in vain, and of what there is instead.
 pub fn expected_connection(robot: &Name, reachable: &[Name]) -> String {
-    let names: Vec<&str> = reachable.iter().map(Name::as_str).collect();
-    let names = match names.as_slice() {
-        [] => "none".to_owned(),
-        names => names.join(", "),
-    };
-    format!("connection with {robot} (reachable robots: {names})")
+    format!(
+        "connection with {robot} ({})",
+        reachable_robots(robot, reachable)
+    )
 }
 
 /// Returns the key expression of the liveliness tokens of `robot`, or of all robots (`None`).

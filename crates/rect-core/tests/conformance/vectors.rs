@@ -138,6 +138,7 @@ fn payload_kind(error: &PayloadError) -> Value {
         PayloadError::Mismatch { .. } => json!({"error": "other"}),
         PayloadError::Read { .. } => json!({"error": "read"}),
         PayloadError::Write { .. } => json!({"error": "write"}),
+        PayloadError::Type(_) => json!({"error": "type"}),
         PayloadError::Encoding(_) => json!({"error": "encoding"}),
     }
 }

@@ -2,22 +2,22 @@
 use std::{sync::Arc, time::Duration};
 
 use super::Runtime;
-use crate::{session, Error, ToPayload, Topic};
+use crate::{session, Error, Payload, Topic, ValueOf};
 
 /// Publishes on one topic, and reports whether subscribers receive the messages; created by
 /// [`Robot::publisher`](super::Robot::publisher).
 #[derive(Debug)]
-pub struct Publisher {
-    pub(super) publisher: session::Publisher,
+pub struct Publisher<T = Payload> {
+    pub(super) publisher: session::Publisher<T>,
     pub(super) runtime: Arc<Runtime>,
 }
 
-impl Publisher {
+impl<T> Publisher<T> {
     /// Publishes `value` to every subscriber. Blocks while the queue of the link is full.
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::publish`].
-    pub fn publish(&self, value: impl ToPayload) -> Result<(), Error> {
+    pub fn publish(&self, value: impl ValueOf<T>) -> Result<(), Error> {
         self.runtime.complete(self.publisher.publish(value))
     }
 

@@ -25,14 +25,11 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::stream`].
-    pub fn stream<T: TryInto<Topic>>(
+    pub fn stream(
         &self,
-        topic: T,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
         options: StreamOptions,
-    ) -> Result<StreamSender, Error>
-    where
-        Error: From<T::Error>,
-    {
+    ) -> Result<StreamSender, Error> {
         self.runtime.wait(self.robot.stream(topic, options))
     }
 
@@ -48,10 +45,10 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::watch`].
-    pub fn watch<T: TryInto<RobotTopic>>(&self, stream: T) -> Result<Watcher, Error>
-    where
-        Error: From<T::Error>,
-    {
+    pub fn watch(
+        &self,
+        stream: impl TryInto<RobotTopic, Error: Into<Error>>,
+    ) -> Result<Watcher, Error> {
         let watcher = self.runtime.wait(self.robot.watch(stream))?;
         Ok(self.watcher(watcher))
     }
@@ -60,14 +57,11 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::watch_with`].
-    pub fn watch_with<T: TryInto<RobotTopic>>(
+    pub fn watch_with(
         &self,
-        stream: T,
+        stream: impl TryInto<RobotTopic, Error: Into<Error>>,
         queue: QueueOptions,
-    ) -> Result<Watcher, Error>
-    where
-        Error: From<T::Error>,
-    {
+    ) -> Result<Watcher, Error> {
         let watched = self.robot.watch_with(stream, queue);
         let watcher = self.runtime.wait(watched)?;
         Ok(self.watcher(watcher))

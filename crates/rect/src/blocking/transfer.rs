@@ -27,15 +27,12 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::transfer`].
-    pub fn transfer<N: TryInto<Name>, T: TryInto<Topic>>(
+    pub fn transfer(
         &self,
-        robot: N,
-        topic: T,
+        robot: impl TryInto<Name, Error: Into<Error>>,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
         source: impl Into<TransferSource>,
-    ) -> Result<Transfer, Error>
-    where
-        Error: From<N::Error> + From<T::Error>,
-    {
+    ) -> Result<Transfer, Error> {
         self.robot.transfer(robot, topic, source)
     }
 
@@ -53,14 +50,11 @@ impl Robot {
     ///
     /// # Errors
     /// Returns the same errors as [`crate::Robot::receive_transfers`].
-    pub fn receive_transfers<P: TryInto<Pattern>>(
+    pub fn receive_transfers(
         &self,
-        pattern: P,
+        pattern: impl TryInto<Pattern, Error: Into<Error>>,
         options: ReceiveOptions,
-    ) -> Result<Transfers, Error>
-    where
-        Error: From<P::Error>,
-    {
+    ) -> Result<Transfers, Error> {
         let received = self.robot.receive_transfers(pattern, options);
         Ok(Transfers {
             transfers: self.runtime.wait(received)?,

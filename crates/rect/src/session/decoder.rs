@@ -7,7 +7,10 @@ use std::{
 
 use rect_core::{
     codec::{self, dictionary::Dictionary, CodecError},
-    message::{payload::Payload, Message},
+    message::{
+        payload::{Payload, PayloadError},
+        Message,
+    },
     name::{key::KeySpace, Name},
     session::decoder,
 };
@@ -37,13 +40,14 @@ impl Decoder {
         // Most payloads are not encoded and skip the asynchronous path.
         if codec::is_encoded(&message.payload.encoding) {
             let decoded = self.decode(&message.sender, &mut message.payload).await;
-            message.problem = decoded.err();
+            message.value = decoded.map_err(PayloadError::from);
         }
     }
 
     /// Decodes a message's payload in place, with the dictionaries that are already known.
     pub(super) fn decode_message_now(&self, message: &mut Message) {
-        message.problem = self.decode_now(&message.sender, &mut message.payload).err();
+        let decoded = self.decode_now(&message.sender, &mut message.payload);
+        message.value = decoded.map_err(PayloadError::from);
     }
 
     /// Decodes a payload of the robot `sender` in place, fetching a missing dictionary; on an error the payload is unchanged.

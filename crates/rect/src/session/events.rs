@@ -1,6 +1,12 @@
 //! Reports events of robots, links and the router to the program, and returns the program's counters.
-use std::{fmt, sync::Arc};
+use std::{
+    fmt,
+    pin::Pin,
+    sync::Arc,
+    task::{Context, Poll},
+};
 
+use futures_core::Stream;
 use rect_core::{
     message::{
         counters::Counters,
@@ -12,6 +18,7 @@ use tokio::task::JoinHandle;
 
 use super::{
     executor::{Executor, Running},
+    next_item::NextItem,
     receive_queue::ReceiveQueue,
     robot::Robot,
     subscriber::{call, Subscription},
@@ -21,9 +28,10 @@ use crate::error::Error;
 /// Receives the [events](Event) of robots, links and the router; created by [`Robot::events`].
 ///
 /// At first, events report the robots that are already reachable and, with a router, the links that are already up.
-/// Dropping this value ends the subscription.
+/// It also implements [`futures_core::Stream`]. Dropping it ends the subscription.
 pub struct Events {
     queue: Arc<ReceiveQueue<Event>>,
+    next: NextItem<Event>,
     _running: Running<Observer>,
 }
 
@@ -52,6 +60,7 @@ impl Robot {
         let executor = Executor::new(&inner.session, observer, queue.clone());
         Ok(Events {
             queue,
+            next: NextItem::default(),
             _running: executor.start(&inner.runtime)?,
         })
     }
@@ -88,7 +97,8 @@ impl Events {
     /// Waits for the next event; returns `None` once the session or the subscription is closed.
     ///
     /// # Cancel safety
-    /// If the future is dropped, no event is lost: the next call returns it.
+    /// If the future is dropped, no event is lost: the next call returns it. The same holds for the [`Stream`], which keeps its
+    /// wait.
     pub async fn next(&self) -> Option<Event> {
         self.queue.pop().await
     }
@@ -96,6 +106,18 @@ impl Events {
     /// Stops receiving. Events that are already queued can still be read.
     pub fn close(&self) {
         self.queue.close();
+    }
+}
+
+impl Stream for Events {
+    type Item = Event;
+
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Event>> {
+        let Self { queue, next, .. } = &mut *self;
+        next.poll(context, || {
+            let queue = queue.clone();
+            async move { queue.pop().await }
+        })
     }
 }
 

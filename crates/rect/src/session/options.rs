@@ -21,7 +21,7 @@ use super::{
     connect::{self, NotOpened},
     robot::Robot,
 };
-use crate::error::Error;
+use crate::error::{valid, Error};
 
 const DEFAULT_FLEET: &str = "rect";
 
@@ -71,12 +71,9 @@ impl Options {
     ///
     /// # Errors
     /// [`Error::Name`] if `robot` is not a valid name.
-    pub fn new<N: TryInto<Name>>(robot: N) -> Result<Self, Error>
-    where
-        Error: From<N::Error>,
-    {
+    pub fn new(robot: impl TryInto<Name, Error: Into<Error>>) -> Result<Self, Error> {
         let fleet = Name::new(DEFAULT_FLEET)?;
-        let robot = robot.try_into()?;
+        let robot = valid(robot)?;
         Ok(Self {
             place: KeySpace { fleet, robot },
             router: Self::default_router(),
@@ -94,11 +91,8 @@ impl Options {
     ///
     /// # Errors
     /// [`Error::Name`] if `fleet` is not a valid name.
-    pub fn fleet<N: TryInto<Name>>(mut self, fleet: N) -> Result<Self, Error>
-    where
-        Error: From<N::Error>,
-    {
-        self.place.fleet = fleet.try_into()?;
+    pub fn fleet(mut self, fleet: impl TryInto<Name, Error: Into<Error>>) -> Result<Self, Error> {
+        self.place.fleet = valid(fleet)?;
         Ok(self)
     }
 

@@ -1,36 +1,42 @@
 //! Defines [`Publisher`], which publishes on one topic and knows whether there are subscribers.
-use std::{fmt, sync::Arc, time::Duration};
+use std::{fmt, marker::PhantomData, sync::Arc, time::Duration};
 
 use rect_core::{
-    message::payload::ToPayload, name::topic::Topic, session::publication::PublicationKey,
+    message::payload::{Payload, ValueOf},
+    name::topic::Topic,
+    session::publication::PublicationKey,
 };
 use tokio::sync::watch;
 use zenoh::{matching::MatchingListener, Wait};
 
 use super::{publication::Publication, robot::Robot};
-use crate::error::Error;
+use crate::error::{valid, Error};
 
 /// Publishes on one topic, and reports whether subscribers receive the messages; created by [`Robot::publisher`].
 ///
 /// [`Robot::publish`] needs no publisher. A publisher is for programs that wait until a subscriber is there, or that skip
-/// work while nobody subscribes.
-pub struct Publisher {
+/// work while nobody subscribes. `T` is the type of the values.
+pub struct Publisher<T = Payload> {
     robot: Robot,
     key: PublicationKey,
     publication: Arc<Publication>,
     /// Whether there are subscribers; `None` until that is known.
     matching: watch::Receiver<Option<bool>>,
     _listener: MatchingListener<()>,
+    values: PhantomData<fn(T)>,
 }
 
 impl Robot {
     /// Declares a publisher of `topic`, with the urgency, codec and expiry of this handle.
     ///
+    /// `T` is the type of the values: a type that serde serializes, which is published as JSON, or [`Payload`] for everything
+    /// that is [`ToPayload`](crate::ToPayload).
+    ///
     /// ```no_run
     /// # async fn publish(robot: rect::Robot) -> Result<(), rect::Error> {
-    /// let angles = robot.publisher("arm/angle").await?;
+    /// let angles = robot.publisher::<f64>("arm/angle").await?;
     /// angles.wait_for_subscriber(std::time::Duration::from_secs(10)).await?;
-    /// angles.publish(rect::Json(12.5)).await?;
+    /// angles.publish(12.5).await?;
     /// # Ok(()) }
     /// ```
     ///
@@ -39,11 +45,11 @@ impl Robot {
     ///
     /// # Cancel safety
     /// Dropping the future has no effect, except that a session for the urgency of this handle may have been opened.
-    pub async fn publisher<T: TryInto<Topic>>(&self, topic: T) -> Result<Publisher, Error>
-    where
-        Error: From<T::Error>,
-    {
-        let key = self.publication_key(topic.try_into()?, None);
+    pub async fn publisher<T>(
+        &self,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
+    ) -> Result<Publisher<T>, Error> {
+        let key = self.publication_key(valid(topic)?, None);
         let publication = self.publication(key.clone()).await?;
         let refused = || Error::zenoh("cannot observe the subscribers");
         let (sender, matching) = watch::channel(None);
@@ -71,11 +77,12 @@ impl Robot {
             publication,
             matching,
             _listener: listener,
+            values: PhantomData,
         })
     }
 }
 
-impl Publisher {
+impl<T> Publisher<T> {
     /// Publishes `value` to every subscriber. Waits while the queue of the link is full.
     ///
     /// # Errors
@@ -84,8 +91,8 @@ impl Publisher {
     /// # Cancel safety
     /// If the future is dropped after it was polled, the message may still be published: another thread may be about to
     /// send it.
-    pub async fn publish(&self, value: impl ToPayload) -> Result<(), Error> {
-        let payload = self.robot.payload(value)?;
+    pub async fn publish(&self, value: impl ValueOf<T>) -> Result<(), Error> {
+        let payload = self.robot.payload(value.payload()?)?;
         let put = (self.robot).put(&self.publication, payload, Duration::ZERO)?;
         put.done().await
     }
@@ -121,7 +128,7 @@ impl Publisher {
     }
 }
 
-impl fmt::Debug for Publisher {
+impl<T> fmt::Debug for Publisher<T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Publisher")
             .field("topic", &self.key.topic)

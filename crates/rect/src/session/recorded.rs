@@ -27,7 +27,7 @@ use zenoh::{
 };
 
 use super::{convert, queries, robot::Robot};
-use crate::error::Error;
+use crate::error::{valid, Error};
 
 /// How long the end of a recording waits for the answer that is being sent.
 const SENT_WITHIN: Duration = Duration::from_secs(2);
@@ -138,18 +138,15 @@ impl Robot {
     ///
     /// # Errors
     /// [`Error::Name`] if `robot` is not a valid name.
-    pub fn recorded<N: TryInto<Name>>(
+    pub fn recorded(
         &self,
-        robot: N,
+        robot: impl TryInto<Name, Error: Into<Error>>,
         topics: &str,
         time: &str,
-    ) -> Result<Recorded, Error>
-    where
-        Error: From<N::Error>,
-    {
+    ) -> Result<Recorded, Error> {
         Ok(Recorded {
             robot: self.clone(),
-            recorder: robot.try_into()?,
+            recorder: valid(robot)?,
             topics: topics.to_owned(),
             time: time.to_owned(),
             about: About::new(),
@@ -193,7 +190,7 @@ impl Recorded {
             .map_err(Error::zenoh("cannot ask for the recording"))?;
         let Ok(reply) = replies.recv_async().await else {
             let service = "recording (`rect record`)".to_owned();
-            let recorder = self.recorder.to_string();
+            let recorder = self.recorder.clone();
             return Err(self.robot.no_service(recorder, service).await);
         };
         let sample = reply.into_result().map_err(|error| self.failure(&error))?;

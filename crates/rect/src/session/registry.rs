@@ -13,7 +13,7 @@ use rect_core::{
 use serde::de::DeserializeOwned;
 
 use super::{executor::Executor, robot::Robot, shared::NoItems};
-use crate::error::Error;
+use crate::error::{valid, Error};
 
 impl Robot {
     /// Returns the names of the other robots of the fleet that are reachable now, in alphabetical order.
@@ -50,15 +50,12 @@ impl Robot {
     ///
     /// # Cancel safety
     /// Dropping the future abandons the question. Nothing else changes.
-    pub async fn connections_of<N: TryInto<Name>>(
+    pub async fn connections_of(
         &self,
-        robot: N,
+        robot: impl TryInto<Name, Error: Into<Error>>,
         filter: &str,
-    ) -> Result<Vec<Connection>, Error>
-    where
-        Error: From<N::Error>,
-    {
-        self.query_registry(robot.try_into()?, "connections", filter)
+    ) -> Result<Vec<Connection>, Error> {
+        self.query_registry(valid(robot)?, "connections", filter)
             .await
     }
 
@@ -112,15 +109,12 @@ impl Robot {
     ///
     /// # Cancel safety
     /// If the future is dropped, the router may have made the change, or may still make it.
-    pub async fn add_connection_of<N: TryInto<Name>>(
+    pub async fn add_connection_of(
         &self,
-        robot: N,
+        robot: impl TryInto<Name, Error: Into<Error>>,
         connection: &NamedConnection,
-    ) -> Result<(), Error>
-    where
-        Error: From<N::Error>,
-    {
-        self.configure(robot.try_into()?, ADD, connection.to_json())
+    ) -> Result<(), Error> {
+        self.configure(valid(robot)?, ADD, connection.to_json())
             .await
     }
 
@@ -146,16 +140,12 @@ impl Robot {
     ///
     /// # Cancel safety
     /// If the future is dropped, the router may have made the change, or may still make it.
-    pub async fn remove_connection_of<N: TryInto<Name>>(
+    pub async fn remove_connection_of(
         &self,
-        robot: N,
+        robot: impl TryInto<Name, Error: Into<Error>>,
         name: &str,
-    ) -> Result<(), Error>
-    where
-        Error: From<N::Error>,
-    {
-        self.configure(robot.try_into()?, REMOVE, name.to_owned())
-            .await
+    ) -> Result<(), Error> {
+        self.configure(valid(robot)?, REMOVE, name.to_owned()).await
     }
 
     async fn configure(&self, robot: Name, action: &str, argument: String) -> Result<(), Error> {
@@ -176,9 +166,11 @@ impl Robot {
                 expected,
                 timeout: TIMEOUT,
             },
-            RegistryError::NoService { service, available } => {
-                Error::no_service(robot.to_string(), service, &available)
-            }
+            RegistryError::NoService { service, available } => Error::NoService {
+                robot,
+                topic: service,
+                available,
+            },
             RegistryError::Closed => Error::Closed,
         })
     }

@@ -30,8 +30,9 @@ use super::{
     router_links::RouterLinks,
     shared::NoItems,
     urgency_sessions::UrgencySessions,
+    warnings::Warnings,
 };
-use crate::error::Error;
+use crate::error::{valid, Error};
 
 /// A handle of a program's session, through which it communicates as one robot of the fleet.
 ///
@@ -55,6 +56,7 @@ pub(super) struct Inner {
     publications: Mutex<Publications<Publication>>,
     pub(super) decoder: Arc<Decoder>,
     pub(super) counting: Arc<AtomicCounters>,
+    pub(super) warnings: Arc<Warnings>,
     /// The router's links; `None` without a router.
     pub(super) router_links: Option<RouterLinks>,
     pub(super) direct: bool,
@@ -85,6 +87,7 @@ impl Robot {
             (None, Some(links))
         };
         let decoder = Decoder::new(&session, &place);
+        let counting = Arc::default();
         let inner = Inner {
             urgency_sessions: UrgencySessions::new(session.clone(), router),
             session,
@@ -92,7 +95,8 @@ impl Robot {
             runtime: Handle::current(),
             publications: Mutex::default(),
             decoder,
-            counting: Arc::default(),
+            warnings: Warnings::new(Arc::clone(&counting)),
+            counting,
             router_links,
             direct,
             _presence: presence,
@@ -154,7 +158,7 @@ impl Robot {
     /// ```no_run
     /// # async fn request(robot: rect::Robot) -> Result<(), rect::Error> {
     /// let patient = robot.with_timeout(std::time::Duration::from_secs(60));
-    /// let reply = patient.request("wombat-2", "map", "").await?;
+    /// let reply = patient.request::<rect::Payload>("wombat-2", "map", "").await?;
     /// # Ok(()) }
     /// ```
     #[must_use]
@@ -245,15 +249,12 @@ impl Robot {
     /// # Cancel safety
     /// If the future is dropped after it was polled, the message may still be published: another thread may be about to
     /// send it.
-    pub async fn publish<T: TryInto<Topic>>(
+    pub async fn publish(
         &self,
-        topic: T,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
         value: impl ToPayload,
-    ) -> Result<(), Error>
-    where
-        Error: From<T::Error>,
-    {
-        self.send_to(topic.try_into()?, None, self.payload(value)?)
+    ) -> Result<(), Error> {
+        self.send_to(valid(topic)?, None, self.payload(value)?)
             .await
     }
 
@@ -273,17 +274,14 @@ impl Robot {
     /// # Cancel safety
     /// If the future is dropped after it was polled, the message may still be published: another thread may be about to
     /// send it.
-    pub async fn send<N: TryInto<Name>, T: TryInto<Topic>>(
+    pub async fn send(
         &self,
-        robot: N,
-        topic: T,
+        robot: impl TryInto<Name, Error: Into<Error>>,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
         value: impl ToPayload,
-    ) -> Result<(), Error>
-    where
-        Error: From<N::Error> + From<T::Error>,
-    {
-        let recipient = Some(robot.try_into()?);
-        self.send_to(topic.try_into()?, recipient, self.payload(value)?)
+    ) -> Result<(), Error> {
+        let recipient = Some(valid(robot)?);
+        self.send_to(valid(topic)?, recipient, self.payload(value)?)
             .await
     }
 
@@ -380,6 +378,7 @@ impl Robot {
         if let Some(cached) = self.publications().get(&key) {
             return Ok(cached.clone());
         }
+        self.check_topic(key.topic.as_str());
         let session = self.inner.urgency_sessions.of(key.urgency).await;
         let mut publications = self.publications();
         // Another task may have declared it in the meantime.

@@ -1,6 +1,14 @@
 //! Implements services: receives requests and sends the replies.
-use std::{fmt, future::Future, sync::Arc, time::Duration};
+use std::{
+    fmt,
+    future::Future,
+    pin::Pin,
+    sync::Arc,
+    task::{Context, Poll},
+    time::Duration,
+};
 
+use futures_core::Stream;
 use rect_core::{
     driver::Answer,
     message::{
@@ -20,17 +28,26 @@ use zenoh::{
 
 use super::{
     decoder::Decoder,
+    next_item::NextItem,
     queries,
     receive_queue::{QueueWriter, ReceiveQueue},
     robot::Robot,
 };
-use crate::error::Error;
+use crate::error::{valid, Error};
 
-/// Receives the requests to a service; created by [`Robot::requests`]. Dropping it ends the service.
+/// Receives the requests to a service; created by [`Robot::requests`]. It also implements [`futures_core::Stream`]. Dropping it
+/// ends the service.
 pub struct Requests {
+    arriving: Arriving,
+    next: NextItem<Request>,
+    _declared: Queryable<()>,
+}
+
+/// The requests that the program has not read.
+#[derive(Clone)]
+struct Arriving {
     queue: Arc<ReceiveQueue<Request>>,
     decoder: Arc<Decoder>,
-    _declared: Queryable<()>,
 }
 
 /// A service that replies with a function; created by [`Robot::serve`]. Dropping it ends the service.
@@ -71,12 +88,12 @@ impl Robot {
     ///
     /// # Cancel safety
     /// The call is complete when its future is polled for the first time, which `.await` does.
-    pub async fn requests<T: TryInto<Topic>>(&self, topic: T) -> Result<Requests, Error>
-    where
-        Error: From<T::Error>,
-    {
+    pub async fn requests(
+        &self,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
+    ) -> Result<Requests, Error> {
         let place = self.inner.place.clone();
-        let key = place.publication(&topic.try_into()?);
+        let key = place.publication(&valid(topic)?);
         let queue = ReceiveQueue::new(Queue::new(CAPACITY, WhenFull::DropNewest));
         let writer = QueueWriter::new(&queue);
         let key_of_answers = key.clone();
@@ -98,8 +115,11 @@ impl Robot {
             .wait()
             .map_err(Error::zenoh("cannot declare the service"))?;
         Ok(Requests {
-            queue,
-            decoder: self.inner.decoder.clone(),
+            arriving: Arriving {
+                queue,
+                decoder: self.inner.decoder.clone(),
+            },
+            next: NextItem::default(),
             _declared: declared,
         })
     }
@@ -124,10 +144,12 @@ impl Robot {
     ///
     /// # Cancel safety
     /// The call is complete when its future is polled for the first time, which `.await` does.
-    pub async fn serve<T, F, A, V, E>(&self, topic: T, answer: F) -> Result<Service, Error>
+    pub async fn serve<F, A, V, E>(
+        &self,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
+        answer: F,
+    ) -> Result<Service, Error>
     where
-        T: TryInto<Topic>,
-        Error: From<T::Error>,
         F: Fn(Arc<Request>) -> A + Send + Sync + 'static,
         A: Future<Output = Result<V, E>> + Send,
         V: ToPayload + Send,
@@ -175,8 +197,15 @@ impl Requests {
     /// is refused with the reason.
     ///
     /// # Cancel safety
-    /// If the future is dropped, no request is lost: the next call returns it.
+    /// If the future is dropped, no request is lost: the next call returns it. The same holds for the [`Stream`], which keeps its
+    /// wait.
     pub async fn next(&self) -> Option<Request> {
+        self.arriving.next().await
+    }
+}
+
+impl Arriving {
+    async fn next(&self) -> Option<Request> {
         loop {
             // Decoding may wait for a dictionary, and the program may drop the future meanwhile.
             let mut popped = self.queue.pop_guarded().await?;
@@ -194,6 +223,18 @@ impl Requests {
     }
 }
 
+impl Stream for Requests {
+    type Item = Request;
+
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Request>> {
+        let Self { arriving, next, .. } = &mut *self;
+        next.poll(context, || {
+            let arriving = arriving.clone();
+            async move { arriving.next().await }
+        })
+    }
+}
+
 impl fmt::Debug for Requests {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Requests").finish_non_exhaustive()
@@ -202,7 +243,7 @@ impl fmt::Debug for Requests {
 
 impl Drop for Requests {
     fn drop(&mut self) {
-        self.queue.close();
+        self.arriving.queue.close();
     }
 }
 

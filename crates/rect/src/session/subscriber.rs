@@ -15,10 +15,12 @@ use rect_core::{
     message::{
         counters::AtomicCounters,
         gaps::SenderCounts,
+        payload::{FromPayload, Payload},
         queue::{Queue, WhenFull, DEFAULT_CAPACITY},
         Delivery, Inbound, Message, Undelivered,
     },
     name::{key::Selected, topic::Pattern, Name},
+    session::name_check::Used,
 };
 use tokio::task::JoinHandle;
 use zenoh::{bytes::ZBytes, sample::Sample, Wait};
@@ -26,11 +28,13 @@ use zenoh::{bytes::ZBytes, sample::Sample, Wait};
 use super::{
     convert::payload,
     decoder::Decoder,
+    next_item::NextItem,
     receive_queue::{QueueWriter, ReceiveQueue},
     robot::Robot,
     router_links::RouterLinks,
+    warnings::Warnings,
 };
-use crate::error::Error;
+use crate::error::{valid, Error};
 
 /// Settings of the receive queue, which holds messages or frames until the program reads them.
 ///
@@ -57,18 +61,22 @@ impl Default for QueueOptions {
 
 /// Receives the messages that match a pattern; created by [`Robot::subscribe`].
 ///
-/// It also implements [`futures_core::Stream`]. Dropping it ends the subscription.
-pub struct Subscriber {
-    queue: Arc<ReceiveQueue<Message>>,
+/// `T` is the type of the values. It also implements [`futures_core::Stream`]. Dropping it ends the subscription.
+pub struct Subscriber<T: FromPayload = Payload> {
+    reading: Reading,
     inbound: Arc<Mutex<Inbound>>,
-    decoder: Arc<Decoder>,
-    counting: Arc<AtomicCounters>,
-    /// The pending read of the [`Stream`]. The mutex only makes the type `Sync`; it is never locked.
-    next: Mutex<Option<Next>>,
+    next: NextItem<Message<T::Value>>,
     _declared: Vec<zenoh::pubsub::Subscriber<()>>,
 }
 
-type Next = Pin<Box<dyn std::future::Future<Output = Option<Message>> + Send>>;
+/// The parts of a subscriber that a message passes through when the program reads it.
+#[derive(Clone)]
+struct Reading {
+    queue: Arc<ReceiveQueue<Message>>,
+    decoder: Arc<Decoder>,
+    counting: Arc<AtomicCounters>,
+    warnings: Arc<Warnings>,
+}
 
 /// A subscription with a callback; created by [`Robot::on_message`] and [`Robot::on_event`]. Dropping it ends the
 /// subscription.
@@ -81,12 +89,19 @@ impl Robot {
     /// Subscribes to the messages that match `pattern`, which is `<robot>/<topic>` with wildcards: those that the robots
     /// publish, and those that they send to this robot only.
     ///
+    /// `T` is the type of the values: a type that serde deserializes, or [`Payload`] for payloads as they are. A message whose
+    /// value does not fit is delivered with the problem as its [`value`](Message::value). It is counted in
+    /// [`Counters::problems`](crate::Counters), and the first one of each sender and topic is logged as a warning. Fields that
+    /// the type does not have are ignored.
+    ///
     /// ```no_run
     /// # async fn subscribe(robot: rect::Robot) -> Result<(), rect::Error> {
-    /// let angles = robot.subscribe("*/arm/angle").await?;
+    /// let angles = robot.subscribe::<f64>("*/arm/angle").await?;
     /// while let Some(message) = angles.next().await {
-    ///     let angle: f64 = message.payload.value()?;
-    ///     println!("{}: {angle}", message.sender);
+    ///     match message.value {
+    ///         Ok(angle) => println!("{}: {angle}", message.sender),
+    ///         Err(problem) => println!("{}: {problem}", message.sender),
+    ///     }
     /// }
     /// # Ok(()) }
     /// ```
@@ -96,10 +111,10 @@ impl Robot {
     ///
     /// # Cancel safety
     /// The call is complete when its future is polled for the first time, which `.await` does.
-    pub async fn subscribe<P: TryInto<Pattern>>(&self, pattern: P) -> Result<Subscriber, Error>
-    where
-        Error: From<P::Error>,
-    {
+    pub async fn subscribe<T: FromPayload>(
+        &self,
+        pattern: impl TryInto<Pattern, Error: Into<Error>>,
+    ) -> Result<Subscriber<T>, Error> {
         self.subscribe_with(pattern, QueueOptions::default()).await
     }
 
@@ -110,27 +125,30 @@ impl Robot {
     ///
     /// # Cancel safety
     /// The call is complete when its future is polled for the first time, which `.await` does.
-    pub async fn subscribe_with<P: TryInto<Pattern>>(
+    pub async fn subscribe_with<T: FromPayload>(
         &self,
-        pattern: P,
+        pattern: impl TryInto<Pattern, Error: Into<Error>>,
         queue: QueueOptions,
-    ) -> Result<Subscriber, Error>
-    where
-        Error: From<P::Error>,
-    {
-        self.subscribed(&pattern.try_into()?, queue)
+    ) -> Result<Subscriber<T>, Error> {
+        self.subscribed(&valid(pattern)?, queue)
     }
 
-    fn subscribed(&self, pattern: &Pattern, queue: QueueOptions) -> Result<Subscriber, Error> {
+    fn subscribed<T: FromPayload>(
+        &self,
+        pattern: &Pattern,
+        queue: QueueOptions,
+    ) -> Result<Subscriber<T>, Error> {
+        self.check_topic(pattern.topic());
+        self.check_name(Used::Pattern(pattern.clone()));
         self.select(self.inner.place.subscriptions(pattern).into(), queue)
     }
 
     /// Receives each selected message once.
-    pub(super) fn select(
+    pub(super) fn select<T: FromPayload>(
         &self,
         selected: Vec<Selected>,
         queue: QueueOptions,
-    ) -> Result<Subscriber, Error> {
+    ) -> Result<Subscriber<T>, Error> {
         let place = self.inner.place.clone();
         let queue = ReceiveQueue::new(Queue::new(queue.capacity, queue.when_full));
         let inbound = Inbound::new(place, selected.clone(), Instant::now());
@@ -163,11 +181,14 @@ impl Robot {
         let declared = selected.into_iter().enumerate().map(declare);
         Ok(Subscriber {
             _declared: declared.collect::<Result<_, _>>()?,
-            queue,
+            reading: Reading {
+                queue,
+                decoder: self.inner.decoder.clone(),
+                counting: self.inner.counting.clone(),
+                warnings: self.inner.warnings.clone(),
+            },
             inbound,
-            decoder: self.inner.decoder.clone(),
-            counting: self.inner.counting.clone(),
-            next: Mutex::default(),
+            next: NextItem::default(),
         })
     }
 
@@ -178,7 +199,7 @@ impl Robot {
     ///
     /// ```no_run
     /// # async fn subscribe(robot: rect::Robot) -> Result<(), rect::Error> {
-    /// let _subscription = robot.on_message("*/stop", |message| println!("stopped by {}", message.sender)).await?;
+    /// let _subscription = robot.on_message::<f64>("*/battery", |message| println!("{}: {:?}", message.sender, message.value)).await?;
     /// # Ok(()) }
     /// ```
     ///
@@ -187,15 +208,12 @@ impl Robot {
     ///
     /// # Cancel safety
     /// The call is complete when its future is polled for the first time, which `.await` does.
-    pub async fn on_message<P: TryInto<Pattern>>(
+    pub async fn on_message<T: FromPayload>(
         &self,
-        pattern: P,
-        mut callback: impl FnMut(Message) + Send + 'static,
-    ) -> Result<Subscription, Error>
-    where
-        Error: From<P::Error>,
-    {
-        let subscriber = self.subscribe(pattern).await?;
+        pattern: impl TryInto<Pattern, Error: Into<Error>>,
+        mut callback: impl FnMut(Message<T::Value>) + Send + 'static,
+    ) -> Result<Subscription, Error> {
+        let subscriber = self.subscribe::<T>(pattern).await?;
         let task = self.inner.runtime.spawn(async move {
             while let Some(message) = subscriber.next().await {
                 let topic = message.topic.clone();
@@ -211,7 +229,7 @@ impl Robot {
     /// ```no_run
     /// # async fn wait(robot: rect::Robot) -> Result<(), rect::Error> {
     /// let timeout = std::time::Duration::from_secs(10);
-    /// let ready = robot.wait_for_message("wombat-2/ready", timeout).await?;
+    /// let pose = robot.wait_for_message::<(f64, f64)>("wombat-2/pose", timeout).await?;
     /// # Ok(()) }
     /// ```
     ///
@@ -221,17 +239,14 @@ impl Robot {
     ///
     /// # Cancel safety
     /// Dropping the future ends the subscription. A message that has arrived is lost with it.
-    pub async fn wait_for_message<P: TryInto<Pattern>>(
+    pub async fn wait_for_message<T: FromPayload>(
         &self,
-        pattern: P,
+        pattern: impl TryInto<Pattern, Error: Into<Error>>,
         timeout: Duration,
-    ) -> Result<Message, Error>
-    where
-        Error: From<P::Error>,
-    {
-        let pattern = pattern.try_into()?;
+    ) -> Result<Message<T::Value>, Error> {
+        let pattern = valid(pattern)?;
         let expected = format!("message {pattern}");
-        let subscriber = self.subscribed(&pattern, QueueOptions::default())?;
+        let subscriber = self.subscribed::<T>(&pattern, QueueOptions::default())?;
         match tokio::time::timeout(timeout, subscriber.next()).await {
             Ok(message) => message.ok_or(Error::Closed),
             Err(_) => Err(Error::TimedOut { expected, timeout }),
@@ -239,38 +254,40 @@ impl Robot {
     }
 }
 
-impl Subscriber {
+impl<T: FromPayload> Subscriber<T> {
     /// Waits for the next message; returns `None` once the session or the subscriber is closed.
     ///
     /// If a message is compressed with a dictionary that is not known yet, the call also waits for the dictionary, at
     /// most 5 s.
     ///
     /// # Cancel safety
-    /// If the future is dropped, no message is lost: the next call returns it, and fetches its dictionary again.
-    pub async fn next(&self) -> Option<Message> {
-        decoded(&self.queue, &self.decoder, &self.counting).await
+    /// If the future is dropped, no message is lost: the next call returns it, and fetches its dictionary again. The same
+    /// holds for the [`Stream`], which keeps its wait.
+    pub async fn next(&self) -> Option<Message<T::Value>> {
+        self.reading.next::<T>().await
     }
 
     /// Returns the next message if one is queued. If the message is compressed with a dictionary that is not known yet,
     /// its payload stays encoded, and [`Message::problem`] gives the reason.
-    pub fn try_next(&self) -> Option<Message> {
-        let mut message = self.queue.try_pop()?;
+    pub fn try_next(&self) -> Option<Message<T::Value>> {
+        let reading = &self.reading;
+        let mut message = reading.queue.try_pop()?;
         while has_expired(&message) {
-            self.counting.on_expired(0);
-            message = self.queue.try_pop()?;
+            reading.counting.on_expired(0);
+            message = reading.queue.try_pop()?;
         }
-        self.decoder.decode_message_now(&mut message);
-        Some(message)
+        reading.decoder.decode_message_now(&mut message);
+        Some(reading.typed::<T>(message))
     }
 
     /// Stops receiving. Messages that are already queued can still be read.
     pub fn close(&self) {
-        self.queue.close();
+        self.reading.queue.close();
     }
 
     /// Returns the number of messages that were dropped because the queue was full.
     pub fn dropped(&self) -> u64 {
-        self.queue.dropped()
+        self.reading.queue.dropped()
     }
 
     /// Returns how many messages of each robot were received and missed.
@@ -288,45 +305,47 @@ fn has_expired(message: &Message) -> bool {
     message.expires_at.is_some() && message.is_expired(Instant::now())
 }
 
-async fn decoded(
-    queue: &ReceiveQueue<Message>,
-    decoder: &Decoder,
-    counting: &AtomicCounters,
-) -> Option<Message> {
-    loop {
-        // Decoding may wait for a dictionary, and the program may drop the future meanwhile.
-        let mut popped = queue.pop_guarded().await?;
-        let message = popped.item()?;
-        if !has_expired(message) {
-            decoder.decode_message(message).await;
+impl Reading {
+    async fn next<T: FromPayload>(&self) -> Option<Message<T::Value>> {
+        loop {
+            // Decoding may wait for a dictionary, and the program may drop the future meanwhile.
+            let mut popped = self.queue.pop_guarded().await?;
+            let message = popped.item()?;
+            if !has_expired(message) {
+                self.decoder.decode_message(message).await;
+            }
+            let message = popped.take()?;
+            if !has_expired(&message) {
+                return Some(self.typed::<T>(message));
+            }
+            self.counting.on_expired(0);
         }
-        let message = popped.take()?;
-        if !has_expired(&message) {
-            return Some(message);
+    }
+
+    /// Converts the value of a decoded message.
+    fn typed<T: FromPayload>(&self, message: Message) -> Message<T::Value> {
+        let message = message.typed::<T>();
+        if let Some(problem) = message.problem() {
+            let Message { sender, topic, .. } = &message;
+            self.warnings.on_problem(sender, topic, problem);
         }
-        counting.on_expired(0);
+        message
     }
 }
 
-impl Stream for Subscriber {
-    type Item = Message;
+impl<T: FromPayload> Stream for Subscriber<T> {
+    type Item = Message<T::Value>;
 
-    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Message>> {
-        let (queue, decoder) = (self.queue.clone(), self.decoder.clone());
-        let counting = self.counting.clone();
-        let next = self.next.get_mut().unwrap_or_else(PoisonError::into_inner);
-        let waiting = next.get_or_insert_with(|| {
-            Box::pin(async move { decoded(&queue, &decoder, &counting).await })
-        });
-        let polled = waiting.as_mut().poll(context);
-        if polled.is_ready() {
-            *next = None;
-        }
-        polled
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Self::Item>> {
+        let Self { reading, next, .. } = &mut *self;
+        next.poll(context, || {
+            let reading = reading.clone();
+            async move { reading.next::<T>().await }
+        })
     }
 }
 
-impl Drop for Subscriber {
+impl<T: FromPayload> Drop for Subscriber<T> {
     fn drop(&mut self) {
         // Closed before undeclaring, which waits for Zenoh's threads: one of them may wait for room in the queue.
         self.close();
@@ -345,7 +364,7 @@ impl Drop for Subscription {
     }
 }
 
-impl fmt::Debug for Subscriber {
+impl<T: FromPayload> fmt::Debug for Subscriber<T> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let dropped = self.dropped();
         f.debug_struct("Subscriber")

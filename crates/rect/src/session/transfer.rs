@@ -20,7 +20,7 @@ use rect_core::name::{
 };
 
 use super::robot::Robot;
-use crate::error::Error;
+use crate::error::{valid, Error};
 
 impl Robot {
     /// Prepares a transfer of a file or buffer of any size to `robot`. It starts when the returned [`Transfer`] is awaited,
@@ -45,22 +45,19 @@ impl Robot {
     /// the file cannot be read, [`Error::Offer`] if the file [name](Transfer::name) is invalid, [`Error::Payload`] if
     /// the encoding is too long, [`Error::TimedOut`] if a [timeout](Transfer::timeout) was set and has expired, and
     /// [`Error::Closed`] if the session is closed.
-    pub fn transfer<N: TryInto<Name>, T: TryInto<Topic>>(
+    pub fn transfer(
         &self,
-        robot: N,
-        topic: T,
+        robot: impl TryInto<Name, Error: Into<Error>>,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
         source: impl Into<TransferSource>,
-    ) -> Result<Transfer, Error>
-    where
-        Error: From<N::Error> + From<T::Error>,
-    {
+    ) -> Result<Transfer, Error> {
         let inner = &self.inner;
         let (session, place) = (inner.session.clone(), inner.place.clone());
         Ok(Transfer::new(
             session,
             place,
-            robot.try_into()?,
-            topic.try_into()?,
+            valid(robot)?,
+            valid(topic)?,
             source.into(),
         ))
     }
@@ -87,20 +84,17 @@ impl Robot {
     ///
     /// # Cancel safety
     /// The call is complete when its future is polled for the first time, which `.await` does.
-    pub async fn receive_transfers<P: TryInto<Pattern>>(
+    pub async fn receive_transfers(
         &self,
-        pattern: P,
+        pattern: impl TryInto<Pattern, Error: Into<Error>>,
         options: ReceiveOptions,
-    ) -> Result<Transfers, Error>
-    where
-        Error: From<P::Error>,
-    {
+    ) -> Result<Transfers, Error> {
         let inner = &self.inner;
         Transfers::start(
             inner.session.clone(),
             inner.place.clone(),
             inner.runtime.clone(),
-            pattern.try_into()?,
+            valid(pattern)?,
             options,
         )
     }

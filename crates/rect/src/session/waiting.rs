@@ -4,11 +4,12 @@ use std::time::{Duration, Instant};
 use rect_core::{
     driver::Driver,
     name::Name,
+    session::name_check::Used,
     session::peers::{expected_connection, EstablishedWait, PeerWait, Waited},
 };
 
 use super::{executor::Executor, robot::Robot, shared::NoItems};
-use crate::error::Error;
+use crate::error::{valid, Error};
 
 impl Robot {
     /// Waits until `robot` is reachable. Returns at once if it is.
@@ -23,29 +24,25 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Error::TimedOut`] if the robot is not reachable within `timeout`, with the names of those that are; [`Error::Name`] if the name is invalid;
-    /// [`Error::Closed`] if the session is closed.
+    /// [`Error::TimedOut`] if the robot is not reachable within `timeout`, with the names of those that are; [`Error::Name`] if
+    /// the name is invalid; [`Error::Closed`] if the session is closed.
     ///
     /// # Cancel safety
     /// Dropping the future ends the wait. Nothing else changes.
-    pub async fn wait_for_peer<N: TryInto<Name>>(
+    pub async fn wait_for_peer(
         &self,
-        robot: N,
+        robot: impl TryInto<Name, Error: Into<Error>>,
         timeout: Duration,
-    ) -> Result<(), Error>
-    where
-        Error: From<N::Error>,
-    {
-        let robot = robot.try_into()?;
+    ) -> Result<(), Error> {
+        let robot = valid(robot)?;
+        self.check_name(Used::Robot(Name::clone(&robot)));
         let wait = PeerWait::new(&self.inner.place, &robot, Instant::now(), timeout);
-        match self.wait(wait, String::new(), timeout).await {
-            Err(Error::TimedOut { timeout, .. }) => {
-                let reachable = self.peers().await.unwrap_or_default();
-                let expected = expected_connection(&robot, &reachable);
-                Err(Error::TimedOut { expected, timeout })
-            }
-            waited => waited,
+        if self.wait(wait).await? {
+            return Ok(());
         }
+        let reachable = self.peers().await.unwrap_or_default();
+        let expected = expected_connection(&robot, &reachable);
+        Err(Error::TimedOut { expected, timeout })
     }
 
     /// Waits until every reachable router knows the subscriptions and services of this program, so that messages and
@@ -56,7 +53,7 @@ impl Robot {
     ///
     /// ```no_run
     /// # async fn wait(robot: rect::Robot) -> Result<(), rect::Error> {
-    /// let subscriber = robot.subscribe("*/greeting").await?;
+    /// let subscriber = robot.subscribe::<String>("*/greeting").await?;
     /// robot.wait_until_established(std::time::Duration::from_secs(5)).await?;
     /// robot.publish("ready", "").await?;
     /// # Ok(()) }
@@ -71,11 +68,15 @@ impl Robot {
     pub async fn wait_until_established(&self, timeout: Duration) -> Result<(), Error> {
         let inner = &self.inner;
         let wait = EstablishedWait::new(&inner.place, Instant::now(), timeout);
-        self.wait(wait, "answer of every router".to_owned(), timeout)
-            .await
+        if self.wait(wait).await? {
+            return Ok(());
+        }
+        let expected = "answer of every router".to_owned();
+        Err(Error::TimedOut { expected, timeout })
     }
 
-    async fn wait<D>(&self, wait: D, expected: String, timeout: Duration) -> Result<(), Error>
+    /// Runs a wait. Returns whether it was successful before its time was up.
+    async fn wait<D>(&self, wait: D) -> Result<bool, Error>
     where
         D: Driver<Item = std::convert::Infallible, Output = Waited> + Send + 'static,
     {
@@ -83,8 +84,8 @@ impl Robot {
             .run()
             .await?
         {
-            Waited::Ready => Ok(()),
-            Waited::TimedOut => Err(Error::TimedOut { expected, timeout }),
+            Waited::Ready => Ok(true),
+            Waited::TimedOut => Ok(false),
             Waited::Closed => Err(Error::Closed),
         }
     }

@@ -10,7 +10,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::{QueueOptions, WhenFull};
+use rect::{Payload, QueueOptions, WhenFull};
 use tokio::runtime::Builder;
 
 use crate::pair::{dialling, free_endpoint, listening, pair, TIMEOUT};
@@ -58,7 +58,7 @@ fn publishing_on_a_blocked_link_does_not_block_other_tasks() {
         let endpoint = free_endpoint();
         let a = listening("a", &endpoint).await;
         let b = dialling("b", &relay(&endpoint, &is_stopped)).await;
-        let subscriber = b.subscribe("a/x").await.expect("subscribed");
+        let subscriber = b.subscribe::<Payload>("a/x").await.expect("subscribed");
         let publisher = a.publisher("x").await.expect("declared");
         let subscribed = publisher.wait_for_subscriber(TIMEOUT).await;
         subscribed.expect("established");
@@ -104,9 +104,9 @@ async fn messages_of_several_tasks_arrive_in_the_order_of_their_numbers() {
         capacity: 10_000,
         when_full: WhenFull::Block,
     };
-    let subscriber = b.subscribe_with("a/x", every_message).await;
+    let subscriber = b.subscribe_with::<Payload>("a/x", every_message).await;
     let subscriber = subscriber.expect("subscribed");
-    let publisher = Arc::new(a.publisher("x").await.expect("declared"));
+    let publisher = Arc::new(a.publisher::<Payload>("x").await.expect("declared"));
     let subscribed = publisher.wait_for_subscriber(TIMEOUT).await;
     subscribed.expect("established");
     let publishing = |size: usize| {

@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::{blocking::Robot, Options, ReceiveOptions, StreamOptions};
+use rect::{blocking::Robot, Options, Payload, ReceiveOptions, StreamOptions};
 use rect_core::storage::Content;
 
 use crate::pair::{free_endpoint, TIMEOUT};
@@ -76,7 +76,7 @@ fn callback_may_use_and_drop_the_last_robot_handle() {
     let [a, b] = two_robots();
     let (mut last, (dropped, was_dropped)) = (Some(b.clone()), mpsc::channel());
     let (go, proceed) = mpsc::channel::<()>();
-    let subscription = b.on_message("a/goodbye", move |_| {
+    let subscription = b.on_message::<Payload>("a/goodbye", move |_| {
         let _ = proceed.recv();
         if let Some(last) = last.take() {
             last.publish("goodbye", "").expect("published");

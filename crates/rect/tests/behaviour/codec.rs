@@ -8,7 +8,7 @@ use std::{
     time::Duration,
 };
 
-use rect::{Encoding, Json, Message, Payload, Robot, Subscriber};
+use rect::{Encoding, Json, Message, Payload, PayloadError, Robot, Subscriber};
 use rect_core::codec::{
     array::Array,
     dictionary::Dictionary,
@@ -53,7 +53,7 @@ async fn encoded_payloads_are_decoded_by_the_receiver() {
     );
     let encoded = a.with_codec(parse("zstd:9").expect("a codec"));
     let message = delivered(&encoded, &subscriber, &all).await;
-    assert_eq!((message.payload, message.problem), (all.clone(), None));
+    assert_eq!((&message.payload, message.problem()), (&all, None));
     let (sent, received) = (a.counters(), b.counters());
     let message_bytes = sent.sent_bytes / sent.sent;
     assert!(
@@ -69,7 +69,10 @@ async fn receiver_fetches_an_unknown_dictionary_from_the_sender() {
     let samples: Vec<String> = (0..2000).map(|n| reading(n).to_string()).collect();
     let dictionary = Arc::new(Dictionary::train(&samples, 4096).expect("trained"));
     let encoded = a.with_dictionary(dictionary).expect("shared");
-    let subscriber = b.subscribe("a/x").await.expect("subscribed");
+    let subscriber = b
+        .subscribe::<rect::Payload>("a/x")
+        .await
+        .expect("subscribed");
     let new = reading(5000);
     let payload = Payload::new(new.to_string(), Encoding::JSON);
     let delivery = async {
@@ -84,7 +87,7 @@ async fn receiver_fetches_an_unknown_dictionary_from_the_sender() {
     let message = tokio::time::timeout(TIMEOUT, delivery)
         .await
         .expect("received");
-    assert_eq!(message.problem, None);
+    assert_eq!(message.problem(), None);
     assert_eq!(message.payload.value::<Value>().expect("JSON"), new);
     let sent = a.counters();
     assert!(
@@ -131,9 +134,12 @@ async fn undecodable_payload_is_delivered_unchanged_with_the_error() {
     let message = delivered(&a, &subscriber, &damaged).await;
     assert_eq!(message.payload, damaged);
     assert!(
-        matches!(message.problem, Some(CodecError::Damaged { .. })),
+        matches!(
+            message.problem(),
+            Some(PayloadError::Codec(CodecError::Damaged { .. }))
+        ),
         "{:?}",
-        message.problem
+        message.problem()
     );
     let unknown = Payload::new(
         "\u{1}",
@@ -141,8 +147,8 @@ async fn undecodable_payload_is_delivered_unchanged_with_the_error() {
     );
     let message = delivered(&a, &subscriber, &unknown).await;
     assert_eq!(
-        (message.payload, message.problem),
-        (unknown, None),
+        (&message.payload, message.problem()),
+        (&unknown, None),
         "unknown encodings are left to the program"
     );
 }
@@ -160,7 +166,7 @@ async fn requests_and_replies_are_decoded() {
     let encoded = b.with_codec(parse("zstd").expect("a codec"));
     let asked = async {
         loop {
-            match encoded.request("a", "echo", reading(1)).await {
+            match encoded.request::<Payload>("a", "echo", reading(1)).await {
                 Err(rect::Error::NoService { .. }) => {}
                 answer => break answer,
             }
@@ -169,7 +175,10 @@ async fn requests_and_replies_are_decoded() {
     let reply = asked.await.expect("a reply");
     assert_eq!(reply.payload.value::<Value>().expect("JSON"), reading(1));
     let damaged = Payload::new("no zstd", Encoding::JSON.with_suffix("zstd"));
-    let error = b.request("a", "echo", damaged).await.expect_err("damaged");
+    let error = b
+        .request::<Payload>("a", "echo", damaged)
+        .await
+        .expect_err("damaged");
     assert!(error.to_string().contains("zstd"), "{error}");
 }
 
@@ -204,8 +213,8 @@ async fn dictionary_of_one_robot_does_not_decode_messages_of_another() {
     for (robot, dictionary) in [(other, same_id), (honest, dictionary)] {
         let encoded = robot.with_dictionary(Arc::new(dictionary)).expect("shared");
         let mut message = delivered(&encoded, &subscriber, &payload).await;
-        while message.sender != *robot.name() || message.problem.is_some() {
-            assert_eq!(message.problem, None, "{}", message.sender);
+        while message.sender != *robot.name() || message.problem().is_some() {
+            assert_eq!(message.problem(), None, "{}", message.sender);
             message = delivered(&encoded, &subscriber, &payload).await;
         }
         assert_eq!(message.payload, payload, "{}", message.sender);
@@ -218,8 +227,14 @@ async fn message_is_kept_if_the_future_is_dropped_while_its_dictionary_is_fetche
     let samples: Vec<String> = (0..2000).map(|n| reading(n).to_string()).collect();
     let dictionary = Arc::new(Dictionary::train(&samples, 4096).expect("trained"));
     let encoded = a.with_dictionary(dictionary).expect("shared");
-    let subscriber = b.subscribe("a/x").await.expect("subscribed");
-    let publisher = encoded.publisher("x").await.expect("declared");
+    let subscriber = b
+        .subscribe::<rect::Payload>("a/x")
+        .await
+        .expect("subscribed");
+    let publisher = encoded
+        .publisher::<rect::Payload>("x")
+        .await
+        .expect("declared");
     let subscribed = publisher.wait_for_subscriber(TIMEOUT).await;
     subscribed.expect("established");
     for n in 0..2u32 {
@@ -242,7 +257,7 @@ async fn message_is_kept_if_the_future_is_dropped_while_its_dictionary_is_fetche
         messages.push(message.expect("not lost").expect("open"));
     }
     for (n, message) in messages.into_iter().enumerate() {
-        assert_eq!(message.problem, None);
+        assert_eq!(message.problem(), None);
         assert_eq!(
             message.payload.value::<Value>().expect("JSON"),
             reading(n as u32)

@@ -9,4 +9,5 @@ mod joining;
 mod request;
 mod session;
 mod state;
+mod typed;
 mod udp;

@@ -8,7 +8,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::{Error, Json, Robot, Service};
+use rect::{Error, Json, Payload, Robot, Service};
 
 use crate::pair::{dialling, pair, TIMEOUT};
 use zenoh::Wait;
@@ -26,7 +26,7 @@ async fn doubling(robot: &Robot) -> Service {
 async fn asked(robot: &Robot, server: &str, topic: &str, value: f64) -> Result<rect::Reply, Error> {
     let deadline = Instant::now() + TIMEOUT;
     loop {
-        match robot.request(server, topic, Json(value)).await {
+        match robot.request::<Payload>(server, topic, Json(value)).await {
             Err(Error::NoService { .. }) if Instant::now() < deadline => {}
             answer => return answer,
         }
@@ -50,7 +50,7 @@ async fn error_of_a_service_is_returned_to_the_requester() {
     let (a, b) = pair("a", "b").await;
     let _service = doubling(&a).await;
     asked(&b, "a", "double", 1.0).await.expect("discovered");
-    let error = b.request("a", "double", "no number").await;
+    let error = b.request::<Payload>("a", "double", "no number").await;
     let error = error.expect_err("text is not a number");
     let Error::Service { robot, payload } = &error else {
         panic!("{error}");
@@ -69,7 +69,10 @@ async fn error_of_a_service_is_returned_to_the_requester() {
 #[tokio::test(flavor = "multi_thread")]
 async fn missing_service_error_lists_reachable_robots() {
     let (a, b) = pair("a", "b").await;
-    let error = b.request("a", "nothing", "").await.expect_err("no service");
+    let error = b
+        .request::<Payload>("a", "nothing", "")
+        .await
+        .expect_err("no service");
     assert!(matches!(error, Error::NoService { .. }), "{error}");
     assert!(error.to_string().contains("reachable robots: a"), "{error}");
     drop(a);
@@ -84,7 +87,9 @@ async fn request_carries_sender_and_deadline() {
         async move {
             let _discovered = asked(&b, "a", "slow", 0.0).await;
             let timeout = Duration::from_millis(300);
-            b.with_timeout(timeout).request("a", "slow", "").await
+            b.with_timeout(timeout)
+                .request::<Payload>("a", "slow", "")
+                .await
         }
     });
     let first = requests.next().await.expect("asked");
@@ -150,7 +155,7 @@ async fn request_all_collects_several_replies_of_every_service() {
     }
     let deadline = Instant::now() + TIMEOUT;
     loop {
-        let mut replies = a.request_all("count", "").await.expect("asked");
+        let replies = a.request_all::<Payload>("count", "").await.expect("asked");
         let mut received = Vec::new();
         while let Some(reply) = replies.next().await {
             let reply = reply.expect("no error");
@@ -188,7 +193,7 @@ async fn dropped_request_is_cancelled_at_once() {
     while !taken.load(Ordering::Acquire) {
         let duration = Duration::from_millis(100);
         let patient = b.with_timeout(Duration::from_secs(3600));
-        let asked = patient.request("a", "never", "");
+        let asked = patient.request::<Payload>("a", "never", "");
         let _ = tokio::time::timeout(duration, asked).await;
         assert!(began.elapsed() < TIMEOUT);
     }

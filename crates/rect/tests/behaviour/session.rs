@@ -8,7 +8,7 @@ use std::{
     time::Duration,
 };
 
-use rect::{Cbor, Error, Json, QueueOptions, Robot, Urgency, WhenFull};
+use rect::{Cbor, Error, Json, Payload, QueueOptions, Robot, Urgency, WhenFull};
 
 use crate::pair::{pair, TIMEOUT};
 use serde::{Deserialize, Serialize};
@@ -50,7 +50,10 @@ async fn until_received(
 #[tokio::test(flavor = "multi_thread")]
 async fn published_values_keep_their_types_and_metadata() {
     let (a, b) = pair("a", "b").await;
-    let values = b.subscribe("a/values/*").await.expect("subscribed");
+    let values = b
+        .subscribe::<Payload>("a/values/*")
+        .await
+        .expect("subscribed");
     until_received(&a, "values/first", || values.try_next().is_some()).await;
     a.publish("values/json", Json(reading()))
         .await
@@ -122,7 +125,7 @@ async fn sent_message_is_delivered_once_and_to_the_recipient_only() {
 async fn wait_for_message_returns_the_next_message_or_times_out() {
     let (a, b) = pair("a", "b").await;
     let none = b
-        .wait_for_message("a/never", Duration::from_millis(50))
+        .wait_for_message::<Payload>("a/never", Duration::from_millis(50))
         .await;
     let none = none.expect_err("no message");
     assert!(matches!(none, Error::TimedOut { .. }), "{none}");
@@ -130,7 +133,7 @@ async fn wait_for_message_returns_the_next_message_or_times_out() {
     let waiting = tokio::spawn({
         let received = received.clone();
         async move {
-            let message = b.wait_for_message("a/arm/angle", TIMEOUT).await;
+            let message = b.wait_for_message::<Payload>("a/arm/angle", TIMEOUT).await;
             received.store(1, Ordering::Release);
             (message, b)
         }
@@ -146,7 +149,7 @@ async fn callback_is_called_again_after_a_panic() {
     let calls = Arc::new(AtomicU32::new(0));
     let counted = calls.clone();
     let subscription = b
-        .on_message("a/beat", move |_| {
+        .on_message::<Payload>("a/beat", move |_| {
             if counted.fetch_add(1, Ordering::AcqRel) == 0 {
                 panic!("on purpose");
             }
@@ -172,7 +175,7 @@ async fn full_queue_drops_by_its_rule_and_counts_drops() {
         .subscribe_with("a/n", queue(WhenFull::DropNewest))
         .await
         .expect("subscribed");
-    let end = b.subscribe("a/end").await.expect("subscribed");
+    let end = b.subscribe::<Payload>("a/end").await.expect("subscribed");
     until_received(&a, "end", || end.try_next().is_some()).await;
     while end.try_next().is_some() {}
     for n in 0..10 {
@@ -206,7 +209,7 @@ async fn full_queue_drops_by_its_rule_and_counts_drops() {
 #[tokio::test(flavor = "multi_thread")]
 async fn messages_keep_their_urgency() {
     let (a, b) = pair("a", "b").await;
-    let messages = b.subscribe("a/u").await.expect("subscribed");
+    let messages = b.subscribe::<Payload>("a/u").await.expect("subscribed");
     until_received(&a, "u", || messages.try_next().is_some()).await;
     for urgency in [Urgency::Urgent, Urgency::Bulk] {
         a.with_urgency(urgency)
@@ -240,7 +243,10 @@ async fn invalid_names_and_topics_are_rejected_with_the_reason() {
     }
     let error = a.send("no robot", "x", "").await.expect_err("a space");
     assert!(matches!(error, Error::Name(_)), "{error}");
-    let error = a.subscribe("x").await.expect_err("no robot in it");
+    let error = a
+        .subscribe::<Payload>("x")
+        .await
+        .expect_err("no robot in it");
     assert!(error.to_string().contains("<robot>/<topic>"), "{error}");
 }
 
@@ -265,7 +271,7 @@ async fn missing_router_error_explains_how_to_start_one() {
 #[tokio::test(flavor = "multi_thread")]
 async fn close_ends_pending_reads() {
     let (a, b) = pair("a", "b").await;
-    let messages = a.subscribe("b/**").await.expect("subscribed");
+    let messages = a.subscribe::<Payload>("b/**").await.expect("subscribed");
     let requests = a.requests("echo").await.expect("served");
     let events = a.events().await.expect("subscribed");
     let frames = a.watch("b/camera").await.expect("watched");
@@ -288,13 +294,16 @@ async fn too_long_encoding_is_rejected_before_sending() {
     let (a, b) = pair("a", "b").await;
     let too_long = || rect::Payload::new("1", rect::Encoding::new("x".repeat(201)));
     let longest = rect::Payload::new("1", rect::Encoding::new("x".repeat(200)));
-    let messages = b.subscribe("a/x").await.expect("subscribed");
+    let messages = b.subscribe::<Payload>("a/x").await.expect("subscribed");
     let _service = b.serve("long", move |_| async move { Ok::<_, String>(too_long()) });
     let _service = _service.await.expect("served");
     until_received(&a, "x", || messages.try_next().is_some()).await;
     let published = a.publish("x", too_long()).await;
     let sent = a.send("b", "x", too_long()).await;
-    let asked = a.request("b", "long", too_long()).await.map(drop);
+    let asked = a
+        .request::<Payload>("b", "long", too_long())
+        .await
+        .map(drop);
     let transferred = a
         .transfer("b", "x", too_long())
         .expect("valid arguments")
@@ -307,7 +316,10 @@ async fn too_long_encoding_is_rejected_before_sending() {
         );
     }
     // The requester receives the reason why the reply was rejected, rather than `NoService`.
-    let error = a.request("b", "long", "").await.expect_err("an error");
+    let error = a
+        .request::<Payload>("b", "long", "")
+        .await
+        .expect_err("an error");
     assert!(matches!(error, Error::Service { .. }), "{error}");
     a.publish("x", longest.clone()).await.expect("published");
     loop {
@@ -322,7 +334,7 @@ async fn too_long_encoding_is_rejected_before_sending() {
 #[tokio::test(flavor = "multi_thread")]
 async fn messages_with_invalid_topics_are_dropped_and_counted() {
     let (a, b) = pair("a", "b").await;
-    let messages = b.subscribe("a/**").await.expect("subscribed");
+    let messages = b.subscribe::<Payload>("a/**").await.expect("subscribed");
     until_received(&a, "ready", || messages.try_next().is_some()).await;
     let key = "rect/a/a\u{1b}]0;pwned\u{7}\u{1b}[2Jb\nfake/c";
     a.zenoh().put(key, "12.5").await.expect("put");
@@ -345,9 +357,9 @@ async fn panic_of_a_service_is_an_error_reply() {
         Ok::<_, String>("well")
     };
     let _service = b.serve("panics", panics).await.expect("served");
-    let discovered = async { while a.request("b", "panics", "").await.is_err() {} };
+    let discovered = async { while a.request::<Payload>("b", "panics", "").await.is_err() {} };
     timeout(TIMEOUT, discovered).await.expect("served in time");
-    let error = a.request("b", "panics", "panic").await;
+    let error = a.request::<Payload>("b", "panics", "panic").await;
     let error = error.map(drop).expect_err("an error").to_string();
     assert!(error.contains("the service's function panicked"), "{error}");
 }
@@ -357,7 +369,7 @@ async fn messages_arrive_once_the_subscription_is_established() {
     let (a, b) = pair("a", "b").await;
     for number in 0..20 {
         let topic = format!("first/{number}");
-        let messages = b.subscribe(format!("a/{topic}").as_str()).await;
+        let messages = b.subscribe::<Payload>(format!("a/{topic}").as_str()).await;
         let messages = messages.expect("subscribed");
         b.wait_until_established(TIMEOUT).await.expect("in time");
         a.publish(topic.as_str(), "").await.expect("published");
@@ -369,12 +381,12 @@ async fn messages_arrive_once_the_subscription_is_established() {
 #[tokio::test(flavor = "multi_thread")]
 async fn publisher_waits_for_the_first_subscriber() {
     let (a, b) = pair("a", "b").await;
-    let publisher = a.publisher("first").await.expect("declared");
+    let publisher = a.publisher::<Payload>("first").await.expect("declared");
     let early = publisher.wait_for_subscriber(Duration::ZERO).await;
     let error = early.expect_err("nobody subscribes").to_string();
     assert!(error.contains("no subscriber of first within"), "{error}");
     assert!(!publisher.has_subscribers());
-    let messages = b.subscribe("a/first").await.expect("subscribed");
+    let messages = b.subscribe::<Payload>("a/first").await.expect("subscribed");
     let found = publisher.wait_for_subscriber(TIMEOUT).await;
     found.expect("a subscriber");
     publisher.publish("hello").await.expect("published");

@@ -2,7 +2,7 @@
 //! `cargo test -p rect-robot --test behaviour state`
 use std::{sync::mpsc, thread, time::Duration};
 
-use rect::{blocking, Event, Events, Json, Options};
+use rect::{blocking, Event, Events, Json, Options, Payload};
 
 use crate::pair::{dialling, free_endpoint, listening, pair, TIMEOUT};
 use tokio::time::timeout;
@@ -52,7 +52,7 @@ async fn event_callback_first_reports_robots_that_are_already_reachable() {
 #[tokio::test(flavor = "multi_thread")]
 async fn counters_count_sent_and_received_messages() {
     let (a, b) = pair("a", "b").await;
-    let messages = b.subscribe("a/x").await.expect("subscribed");
+    let messages = b.subscribe::<Payload>("a/x").await.expect("subscribed");
     while messages.try_next().is_none() {
         a.publish("x", "12345").await.expect("published");
         tokio::time::sleep(Duration::from_millis(5)).await;
@@ -84,7 +84,7 @@ fn blocking_api_publishes_requests_and_reports_events() {
     });
     let _service = service.expect("served");
     let ask = |value: f64| loop {
-        match b.request("a", "double", Json(value)) {
+        match b.request::<Payload>("a", "double", Json(value)) {
             Err(rect::Error::NoService { .. }) => thread::sleep(Duration::from_millis(5)),
             answer => break answer,
         }
@@ -101,7 +101,7 @@ fn blocking_api_publishes_requests_and_reports_events() {
     assert!(panicked.contains("panicked"), "{panicked}");
     assert!(ask(1.0).is_ok(), "the service continues");
 
-    let mut messages = b.subscribe("a/beat").expect("subscribed");
+    let mut messages = b.subscribe::<Payload>("a/beat").expect("subscribed");
     let (stop, stopped) = mpsc::channel::<()>();
     let publishing = thread::spawn({
         let a = a.clone();
@@ -112,7 +112,7 @@ fn blocking_api_publishes_requests_and_reports_events() {
         }
     });
     assert_eq!(messages.next().expect("open").topic.as_str(), "beat");
-    assert!(b.wait_for_message("a/beat", TIMEOUT).is_ok());
+    assert!(b.wait_for_message::<Payload>("a/beat", TIMEOUT).is_ok());
     stop.send(()).expect("the thread runs");
     publishing.join().expect("no panic");
     b.close().expect("closed");

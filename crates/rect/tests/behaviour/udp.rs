@@ -10,7 +10,7 @@ use std::{
     time::Duration,
 };
 
-use rect::QueueOptions;
+use rect::{Payload, QueueOptions};
 
 use crate::pair::{dialling, listening, TIMEOUT};
 use tokio::time::timeout;
@@ -54,7 +54,10 @@ async fn lost_datagrams_are_counted_and_not_retransmitted() {
         capacity: 1000,
         ..QueueOptions::default()
     };
-    let messages = b.subscribe_with("a/n", queue).await.expect("subscribed");
+    let messages = b
+        .subscribe_with::<Payload>("a/n", queue)
+        .await
+        .expect("subscribed");
     let first = async {
         loop {
             a.publish("n", "").await.expect("published");

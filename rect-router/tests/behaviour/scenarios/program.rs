@@ -116,7 +116,7 @@ impl Program {
             }
             ("request", [peer, topic, asked]) => {
                 let reply = robot
-                    .request(text(peer), text(topic), payload(asked))
+                    .request::<Payload>(text(peer), text(topic), payload(asked))
                     .await?;
                 Ok(json!([reply.sender.as_str(), value(&reply.payload)?]))
             }

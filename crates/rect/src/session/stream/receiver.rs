@@ -1,13 +1,17 @@
 //! Receives a stream: runs the core's [`StreamWatch`] and passes the frames to the program.
 use std::{
     fmt,
+    pin::Pin,
     sync::{Arc, Mutex, PoisonError},
+    task::{Context, Poll},
     time::{Duration, Instant},
 };
 
+use futures_core::Stream;
 use rect_core::{
     message::queue::{Queue, WhenFull},
     name::topic::RobotTopic,
+    session::name_check::Used,
     stream::{
         frame::{Frame, ReceivedFrame},
         read::FrameReader,
@@ -16,20 +20,28 @@ use rect_core::{
 };
 
 use crate::{
-    error::Error,
+    error::{valid, Error},
     session::{
         executor::{Executor, Running},
+        next_item::NextItem,
         receive_queue::ReceiveQueue,
         robot::Robot,
         subscriber::QueueOptions,
     },
 };
 
-/// Receives a stream of another robot; created by [`Robot::watch`]. Dropping it ends the subscription.
+/// Receives a stream of another robot; created by [`Robot::watch`]. It also implements [`futures_core::Stream`]. Dropping it ends
+/// the subscription.
 pub struct Watcher {
+    arriving: Arc<Arriving>,
+    next: NextItem<Frame>,
+    running: Running<StreamWatch>,
+}
+
+/// The frames that the program has not read.
+struct Arriving {
     queue: Arc<ReceiveQueue<ReceivedFrame>>,
     reader: Mutex<FrameReader>,
-    running: Running<StreamWatch>,
 }
 
 impl Robot {
@@ -51,10 +63,10 @@ impl Robot {
     ///
     /// # Cancel safety
     /// The call is complete when its future is polled for the first time, which `.await` does.
-    pub async fn watch<T: TryInto<RobotTopic>>(&self, stream: T) -> Result<Watcher, Error>
-    where
-        Error: From<T::Error>,
-    {
+    pub async fn watch(
+        &self,
+        stream: impl TryInto<RobotTopic, Error: Into<Error>>,
+    ) -> Result<Watcher, Error> {
         let newest = QueueOptions {
             capacity: 1,
             when_full: WhenFull::DropOldest,
@@ -70,23 +82,22 @@ impl Robot {
     ///
     /// # Cancel safety
     /// The call is complete when its future is polled for the first time, which `.await` does.
-    pub async fn watch_with<T: TryInto<RobotTopic>>(
+    pub async fn watch_with(
         &self,
-        stream: T,
+        stream: impl TryInto<RobotTopic, Error: Into<Error>>,
         queue: QueueOptions,
-    ) -> Result<Watcher, Error>
-    where
-        Error: From<T::Error>,
-    {
-        let RobotTopic { robot, topic } = stream.try_into()?;
+    ) -> Result<Watcher, Error> {
+        let stream = valid(stream)?;
+        self.check_name(Used::Stream(RobotTopic::clone(&stream)));
+        let RobotTopic { robot, topic } = stream;
         let inner = &self.inner;
         let queue = ReceiveQueue::new(Queue::new(queue.capacity, queue.when_full));
         let watch = StreamWatch::new(&inner.place, robot, topic, rand::random(), Instant::now());
         let reader = Mutex::new(watch.reader());
         let executor = Executor::new(&inner.session, watch, queue.clone());
         Ok(Watcher {
-            queue,
-            reader,
+            arriving: Arc::new(Arriving { queue, reader }),
+            next: NextItem::default(),
             running: executor.start(&inner.runtime)?,
         })
     }
@@ -112,8 +123,31 @@ impl Watcher {
     /// frame of a video takes a few milliseconds, during which this call blocks.
     ///
     /// # Cancel safety
-    /// If the future is dropped, no frame is lost: the next call returns it.
+    /// If the future is dropped, no frame is lost: the next call returns it. The same holds for the [`Stream`], which keeps its
+    /// wait.
     pub async fn next(&self) -> Option<Frame> {
+        self.arriving.next().await
+    }
+
+    /// Returns the next frame, by default the newest one, if one is queued.
+    pub fn try_next(&self) -> Option<Frame> {
+        let arriving = &self.arriving;
+        std::iter::from_fn(|| arriving.queue.try_pop()).find_map(|received| arriving.read(received))
+    }
+
+    /// Stops receiving. Frames that are already queued can still be read.
+    pub fn close(&self) {
+        self.arriving.queue.close();
+    }
+
+    /// Returns the round trip of a small message to the sender; `None` until the first one has been measured.
+    pub fn round_trip(&self) -> Option<Duration> {
+        self.running.driver().round_trip()
+    }
+}
+
+impl Arriving {
+    async fn next(&self) -> Option<Frame> {
         loop {
             let received = self.queue.pop().await?;
             if let Some(frame) = self.read(received) {
@@ -122,24 +156,21 @@ impl Watcher {
         }
     }
 
-    /// Returns the next frame, by default the newest one, if one is queued.
-    pub fn try_next(&self) -> Option<Frame> {
-        std::iter::from_fn(|| self.queue.try_pop()).find_map(|received| self.read(received))
-    }
-
-    /// Stops receiving. Frames that are already queued can still be read.
-    pub fn close(&self) {
-        self.queue.close();
-    }
-
-    /// Returns the round trip of a small message to the sender; `None` until the first one has been measured.
-    pub fn round_trip(&self) -> Option<Duration> {
-        self.running.driver().round_trip()
-    }
-
     fn read(&self, received: ReceivedFrame) -> Option<Frame> {
         let mut reader = self.reader.lock().unwrap_or_else(PoisonError::into_inner);
         reader.read(received)
+    }
+}
+
+impl Stream for Watcher {
+    type Item = Frame;
+
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Frame>> {
+        let Self { arriving, next, .. } = &mut *self;
+        next.poll(context, || {
+            let arriving = arriving.clone();
+            async move { arriving.next().await }
+        })
     }
 }
 
@@ -153,7 +184,7 @@ impl Drop for Watcher {
 impl fmt::Debug for Watcher {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let round_trip = self.round_trip();
-        f.debug_struct("Watch")
+        f.debug_struct("Watcher")
             .field("round_trip", &round_trip)
             .finish_non_exhaustive()
     }

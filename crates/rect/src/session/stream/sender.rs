@@ -17,7 +17,7 @@ use rect_core::{
 };
 
 use crate::{
-    error::Error,
+    error::{valid, Error},
     session::{
         executor::{Executor, Running},
         robot::Robot,
@@ -51,19 +51,16 @@ impl Robot {
     ///
     /// # Cancel safety
     /// The call is complete when its future is polled for the first time, which `.await` does.
-    pub async fn stream<T: TryInto<Topic>>(
+    pub async fn stream(
         &self,
-        topic: T,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
         options: Options,
-    ) -> Result<StreamSender, Error>
-    where
-        Error: From<T::Error>,
-    {
+    ) -> Result<StreamSender, Error> {
         let inner = &self.inner;
         options.check()?;
         let stream = StreamPublish::new(
             &inner.place,
-            &topic.try_into()?,
+            &valid(topic)?,
             options,
             self.urgency(),
             rand::random(),

@@ -1,6 +1,13 @@
 //! Defines [`Transfers`], through which a program receives transfers.
-use std::{fmt, fs, sync::Arc, time::SystemTime};
+use std::{
+    fmt, fs,
+    pin::Pin,
+    sync::Arc,
+    task::{Context, Poll},
+    time::SystemTime,
+};
 
+use futures_core::Stream;
 use rect_core::{
     name::{key::KeySpace, topic::Pattern},
     storage::Store,
@@ -20,13 +27,14 @@ use super::{
     received::Received,
     receiving::Reception,
 };
-use crate::error::Error;
+use crate::{error::Error, session::next_item::NextItem};
 
 /// Receives transfers; created by [`Robot::receive_transfers`](crate::Robot::receive_transfers).
 ///
-/// Dropping it stops receiving. Incomplete transfers are kept only if they are received into a folder.
+/// It also implements [`futures_core::Stream`]. Dropping it stops receiving. Incomplete transfers are kept only if they are received into a folder.
 pub struct Transfers {
-    ended: Mutex<Receiver<Result<Received, Error>>>,
+    ended: Arc<Mutex<Receiver<Result<Received, Error>>>>,
+    next: NextItem<Result<Received, Error>>,
     receiving: Arc<Reception>,
 }
 
@@ -53,7 +61,8 @@ impl Transfers {
         };
         Ok(Self {
             receiving: Reception::start(session, place, runtime, rules, options, ended)?,
-            ended: Mutex::new(waiting),
+            ended: Arc::new(Mutex::new(waiting)),
+            next: NextItem::default(),
         })
     }
 
@@ -63,9 +72,22 @@ impl Transfers {
     /// [`Error::TransferFailed`] if the transfer failed. Further calls return the other transfers.
     ///
     /// # Cancel safety
-    /// If the future is dropped, no transfer is lost: the next call returns it.
+    /// If the future is dropped, no transfer is lost: the next call returns it. The same holds for the [`Stream`], which keeps its
+    /// wait.
     pub async fn next(&self) -> Option<Result<Received, Error>> {
         self.ended.lock().await.recv().await
+    }
+}
+
+impl Stream for Transfers {
+    type Item = Result<Received, Error>;
+
+    fn poll_next(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<Self::Item>> {
+        let Self { ended, next, .. } = &mut *self;
+        next.poll(context, || {
+            let ended = ended.clone();
+            async move { ended.lock().await.recv().await }
+        })
     }
 }
 

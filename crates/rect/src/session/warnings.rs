@@ -1,0 +1,92 @@
+//! Warns the program: of values that do not fit their type, and of names that nobody has.
+use std::{
+    fmt::Display,
+    io::Write,
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::Instant,
+};
+
+use rect_core::{
+    message::{counters::AtomicCounters, problems::Problems},
+    name::{topic::Topic, Name},
+    session::name_check::{Used, UsedNames},
+};
+
+use super::{executor::Executor, robot::Robot, shared::Sink};
+
+/// The warnings of one program, and the state that prevents their repetition.
+pub(super) struct Warnings {
+    counting: Arc<AtomicCounters>,
+    problems: Mutex<Problems>,
+    names: Mutex<UsedNames>,
+}
+
+impl Warnings {
+    pub(super) fn new(counting: Arc<AtomicCounters>) -> Arc<Self> {
+        Arc::new(Self {
+            counting,
+            problems: Mutex::default(),
+            names: Mutex::default(),
+        })
+    }
+
+    /// Counts a message without a value, and warns of the first one of each sender and topic.
+    pub(super) fn on_problem(&self, sender: &Name, topic: &Topic, problem: &dyn Display) {
+        self.counting.on_problem();
+        let warning = locked(&self.problems).on_problem(sender, topic, problem);
+        if let Some(warning) = warning {
+            warn(&warning);
+        }
+    }
+}
+
+impl Robot {
+    /// Counts a value that does not fit in [`Counters::problems`](crate::Counters) and warns of the first one of each sender and
+    /// topic, for a program that converts payloads itself.
+    pub fn on_problem(&self, sender: &Name, topic: &Topic, problem: &dyn Display) {
+        self.inner.warnings.on_problem(sender, topic, problem);
+    }
+
+    /// Warns if nobody has a name that the program uses, within 3 s.
+    pub(super) fn check_name(&self, used: Used) {
+        let check =
+            locked(&self.inner.warnings.names).check(&self.inner.place, used, Instant::now());
+        if let Some(check) = check {
+            let executor = Executor::new(&self.inner.session, check, WarningSink);
+            self.inner.runtime.spawn(async move {
+                // Fails if the session is closed.
+                let _ = executor.run().await;
+            });
+        }
+    }
+
+    /// Warns of a topic or pattern that is probably misspelled.
+    pub(super) fn check_topic(&self, topic: &str) {
+        let warning = locked(&self.inner.warnings.names).on_topic(topic);
+        if let Some(warning) = warning {
+            warn(&warning);
+        }
+    }
+}
+
+struct WarningSink;
+
+impl Sink<String> for WarningSink {
+    fn deliver(&self, warning: String) {
+        warn(&warning);
+    }
+}
+
+/// Warns the program through `tracing`, or on standard error if it has no subscriber of `tracing`.
+fn warn(text: &str) {
+    if tracing::dispatcher::has_been_set() {
+        tracing::warn!("{text}");
+    } else {
+        // Unlike `eprintln!`, without a panic if it is closed.
+        let _ = writeln!(std::io::stderr(), "rect: {text}");
+    }
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
