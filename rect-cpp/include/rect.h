@@ -1225,6 +1225,15 @@ enum rect_code rect_robot_wait_for_message(struct rect_robot robot,
                                            struct rect_message *message,
                                            struct rect_error *error);
 
+// Counts a value that does not fit the type that the program expects in `problems` of `rect_counters`, and writes a warning to
+// standard error for the first one of each sender and topic: `battery of wombat-2: ` and the text `problem`. Programs in C++ that
+// state a type need not call it. May be called on any thread.
+enum rect_code rect_robot_on_problem(struct rect_robot robot,
+                                     const char *sender,
+                                     const char *topic,
+                                     const char *problem,
+                                     struct rect_error *error);
+
 // Writes the names of the other robots of the fleet that are reachable now to `names`. May be called on any thread; blocks
 // until the router answers.
 enum rect_code rect_robot_peers(struct rect_robot robot,

@@ -1,4 +1,4 @@
-"""Tests which values need no further header, and the compiler's error for values that cannot be published.
+"""Tests of what the compiler says: about values that need no header, those that cannot be published, and a user's program.
 
 pytest rect-cpp/tests/test_advice.py --build rect-cpp/build/default
 """
@@ -48,3 +48,20 @@ def test_type_without_adapter_is_rejected_with_one_error_that_names_the_header(u
     assert result.returncode != 0
     errors = [line for line in result.stderr.splitlines() if "error:" in line]
     assert len(errors) == 1 and "include <rect/nlohmann.hpp>" in errors[0], result.stderr
+
+
+_USER_PROGRAM = (Path(__file__).parent / "user_program.cpp").read_text().splitlines()
+_WRONG = [number for number, line in enumerate(_USER_PROGRAM, 1) if line.endswith("// wrong")]
+
+
+@pytest.mark.parametrize("wrong", [None, *_WRONG])
+def test_wrong_lines_of_a_user_program_are_found_and_no_others(wrong: int | None, tmp_path: Path) -> None:
+    program = tmp_path / "main.cpp"
+    lines = enumerate(_USER_PROGRAM, 1)
+    program.write_text("\n".join("" if number in _WRONG and number != wrong else line for number, line in lines) + "\n")
+    command = ["g++", "-std=c++17", "-fsyntax-only", "-w", f"-I{_INCLUDE}", str(program)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if wrong is None:
+        assert done.returncode == 0, done.stderr
+    else:
+        assert done.returncode != 0 and f"{program}:{wrong}:" in done.stderr, done.stderr

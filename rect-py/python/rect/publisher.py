@@ -48,10 +48,15 @@ class Publisher(Generic[T]):
         publisher = session.publication(topic, None, urgency, lifetime is not None).publisher
         try:
             with session.calls:
-                listener = publisher.declare_matching_listener(direct(lambda status: matching.set(status.matching)))
+                # It never publishes: the subscribers of this program match the other publisher, too.
+                observer = session.zenoh.declare_publisher(
+                    publisher.key_expr, allowed_destination=zenoh.Locality.REMOTE
+                )
+                self._declared.add(observer)
+                listener = observer.declare_matching_listener(direct(lambda status: matching.set(status.matching)))
                 self._declared.add(listener)
                 # This is a `MatchingStatus`; the stubs of eclipse-zenoh 1.10 are wrong here.
-                status: Any = publisher.matching_status
+                status: Any = observer.matching_status
         except zenoh.ZError as error:
             self._declared.end()
             raise zenoh_error("cannot observe the subscribers", error) from error

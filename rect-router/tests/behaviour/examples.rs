@@ -189,7 +189,7 @@ fn a_request_is_answered() {
         }
         assert!(Instant::now() < deadline, "the request is not answered");
     };
-    asking.wait_for("wombat-1: {\"cell\":1,\"volt\":3.6}");
+    asking.wait_for("wombat-1: Cell { cell: 1, volt: 3.6 }");
     asking.wait_for("the cell must be 1 or 2");
 }
 

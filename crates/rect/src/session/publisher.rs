@@ -7,7 +7,7 @@ use rect_core::{
     session::publication::PublicationKey,
 };
 use tokio::sync::watch;
-use zenoh::{matching::MatchingListener, Wait};
+use zenoh::{matching::MatchingListener, sample::Locality, Wait};
 
 use super::{publication::Publication, robot::Robot};
 use crate::error::{valid, Error};
@@ -23,6 +23,7 @@ pub struct Publisher<T = Payload> {
     /// Whether there are subscribers; `None` until that is known.
     matching: watch::Receiver<Option<bool>>,
     _listener: MatchingListener<()>,
+    _observer: zenoh::pubsub::Publisher<'static>,
     values: PhantomData<fn(T)>,
 }
 
@@ -52,18 +53,25 @@ impl Robot {
         let key = self.publication_key(valid(topic)?, None);
         let publication = self.publication(key.clone()).await?;
         let refused = || Error::zenoh("cannot observe the subscribers");
+        // It never publishes: the subscribers of this program match the other publisher, too.
+        let observer = self
+            .inner
+            .session
+            .declare_publisher(publication.publisher().key_expr().clone().into_owned())
+            .allowed_destination(Locality::Remote)
+            .wait()
+            .map_err(refused())?;
         let (sender, matching) = watch::channel(None);
         let on_change = sender.clone();
         // Zenoh drops the callback with the session, which ends the waits.
-        let listener = publication
-            .publisher()
+        let listener = observer
             .matching_listener()
             .callback(move |status| {
                 on_change.send_replace(Some(status.matching()));
             })
             .wait()
             .map_err(refused())?;
-        let status = publication.publisher().matching_status().await;
+        let status = observer.matching_status().await;
         let is_matching = status.map_err(refused())?.matching();
         // A report of the listener in the meantime is newer.
         sender.send_if_modified(|known| {
@@ -77,6 +85,7 @@ impl Robot {
             publication,
             matching,
             _listener: listener,
+            _observer: observer,
             values: PhantomData,
         })
     }

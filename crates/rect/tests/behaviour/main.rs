@@ -11,3 +11,4 @@ mod session;
 mod state;
 mod typed;
 mod udp;
+mod user_program;

@@ -57,7 +57,7 @@ async fn error_of_a_service_is_returned_to_the_requester() {
     };
     assert_eq!(robot.as_ref().expect("a name"), &"a");
     assert!(
-        payload.text().expect("text").contains("text/plain"),
+        payload.text().expect("text").contains("expected a number"),
         "{error}"
     );
     assert!(

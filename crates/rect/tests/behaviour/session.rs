@@ -381,6 +381,8 @@ async fn messages_arrive_once_the_subscription_is_established() {
 #[tokio::test(flavor = "multi_thread")]
 async fn publisher_waits_for_the_first_subscriber() {
     let (a, b) = pair("a", "b").await;
+    // A subscriber of the same program does not count.
+    let _own = a.subscribe::<Payload>("*/first").await.expect("subscribed");
     let publisher = a.publisher::<Payload>("first").await.expect("declared");
     let early = publisher.wait_for_subscriber(Duration::ZERO).await;
     let error = early.expect_err("nobody subscribes").to_string();
