@@ -1,4 +1,4 @@
-"""Tests of what the compiler says: about values that need no header, those that cannot be published, and a user's program.
+"""Tests of what the compiler accepts and rejects: values with and without a header, and a program of a user.
 
 pytest rect-cpp/tests/test_advice.py --build rect-cpp/build/default
 """

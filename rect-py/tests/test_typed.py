@@ -264,8 +264,8 @@ def test_names_that_nobody_has_are_warned_of_within_3_s(pair: Pair, caplog: pyte
     assert time.monotonic() - begun < DEADLINE
     texts = sorted(record.getMessage() for record in caplog.records)
     assert texts == [
-        "no robot called arm is reachable yet; reachable robots: wombat-1. The pattern arm/angle means the robot arm; for the "
-        "topic arm/angle of every robot, use */arm/angle",
+        "no robot called arm is reachable yet; reachable robots: wombat-1. The pattern arm/angle means the robot arm; "
+        "for the topic arm/angle of every robot, use */arm/angle",
         "no robot called wombt-1 is reachable yet; did you mean wombat-1? (reachable robots: wombat-1)",
         'the topic "arm angle" contains a space, and only programs that write it in the same way receive it; '
         "`rect topic list` lists the topics of all robots",

@@ -5,6 +5,7 @@ pub mod endpoint;
 pub mod inquiry;
 pub mod login;
 pub mod name_check;
+pub mod names;
 pub mod peers;
 pub mod publication;
 pub mod router;

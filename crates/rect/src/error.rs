@@ -8,7 +8,7 @@ use rect_core::{
         topic::{Topic, TopicError},
         Name, NameError,
     },
-    session::{login::LoginRefused, name_check::reachable_robots, router::WrongRobot},
+    session::{login::LoginRefused, names::reachable_robots, router::WrongRobot},
     stream::options::OptionError,
     text::humanize,
     transfer::{Fault, OfferError, Refusal},

@@ -6,6 +6,7 @@ mod declared;
 mod decoder;
 mod events;
 mod executor;
+mod name_check;
 mod next_item;
 mod options;
 mod publication;

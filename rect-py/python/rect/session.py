@@ -5,6 +5,7 @@ from __future__ import annotations
 import atexit
 import contextlib
 import gc
+import logging
 import os
 import threading
 import time
@@ -15,7 +16,7 @@ from typing import Any, Protocol
 
 import zenoh
 
-from rect import _rect, advice
+from rect import _rect
 from rect._zenoh import call_interruptibly, qos, zenoh_error
 from rect.errors import Closed, ThreadError
 from rect.options import Options
@@ -53,6 +54,8 @@ class Decoding(Protocol):
 
     def serve(self, dictionary: _rect.Dictionary) -> None:
         """Serves a dictionary."""
+
+_LOG = logging.getLogger("rect")
 
 
 class Session:
@@ -118,7 +121,8 @@ class Session:
         publication = self._publications.get(key_parts)
         if publication is not None:
             return publication
-        advice.on_topic(self, topic)
+        if warning := self.used_names.on_topic(topic):
+            _LOG.warning("%s", warning)
         key = self.key_space.publication(topic, recipient)
         service = qos(_rect.qos(urgency, expires))
         with self.calls:

@@ -10,7 +10,7 @@ use rect_core::{
         RegistryQuery,
     },
     session::{
-        name_check,
+        names,
         peers::{self, DirectPresence, EstablishedWait, PeerWait, PeersQuery},
     },
 };
@@ -30,13 +30,10 @@ pub fn peers_query(key_space: &KeySpace) -> Driver {
 /// Returns in words which robots are reachable, for a program that uses `robot`, which is not.
 #[pyfunction]
 pub fn reachable_robots(robot: &str, reachable: Vec<String>) -> PyResult<String> {
-    Ok(name_check::reachable_robots(
-        &name(robot)?,
-        &names(&reachable)?,
-    ))
+    Ok(names::reachable_robots(&name(robot)?, &parsed(&reachable)?))
 }
 
-fn names(texts: &[String]) -> PyResult<Vec<Name>> {
+fn parsed(texts: &[String]) -> PyResult<Vec<Name>> {
     texts.iter().map(|text| name(text)).collect()
 }
 
@@ -45,7 +42,7 @@ fn names(texts: &[String]) -> PyResult<Vec<Name>> {
 pub fn expected_connection(robot: &str, reachable: Vec<String>) -> PyResult<String> {
     Ok(peers::expected_connection(
         &name(robot)?,
-        &names(&reachable)?,
+        &parsed(&reachable)?,
     ))
 }
 

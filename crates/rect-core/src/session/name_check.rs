@@ -4,7 +4,10 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::peers::PeersQuery;
+use super::{
+    names::{in_words, reachable_robots},
+    peers::PeersQuery,
+};
 use crate::{
     driver::{Action, Driver, Event, Get, Id, Reaction, Step, Target},
     name::{
@@ -18,10 +21,7 @@ use crate::{
 pub const CHECKED_AFTER: Duration = Duration::from_millis(2500);
 /// The timeout of the question for the streams of a robot.
 const TIMEOUT: Duration = Duration::from_secs(5);
-/// The similarity of two names, from 0 to 1, from which one may be a misspelling of the other.
-const SIMILAR: f64 = 0.7;
-/// The largest number of names that a warning lists, and of streams that are read.
-const MAX_LISTED: usize = 20;
+/// The largest number of streams of a robot that are read.
 const MAX_STREAMS: usize = 1000;
 /// The largest number of names of a program that are checked.
 const MAX_CHECKED: usize = 1000;
@@ -89,40 +89,6 @@ impl UsedNames {
             )
         })
     }
-}
-
-/// Returns in words which robots are reachable, for a program that uses one that is not.
-pub fn reachable_robots(robot: &Name, reachable: &[Name]) -> String {
-    let names = reachable.iter().map(Name::as_str);
-    in_words("reachable robots", robot.as_str(), names)
-}
-
-/// Returns names in words, and the one that `name` may be a misspelling of: `did you mean arm? (its streams: arm, leg)`.
-fn in_words<'a>(what: &str, name: &str, names: impl Iterator<Item = &'a str> + Clone) -> String {
-    let count = names.clone().count();
-    let listed: Vec<_> = names.clone().take(MAX_LISTED).collect();
-    let listed = match listed.as_slice() {
-        [] => "none".to_owned(),
-        listed if count > listed.len() => {
-            format!("{} and {} more", listed.join(", "), count - listed.len())
-        }
-        listed => listed.join(", "),
-    };
-    match similar(name, names) {
-        Some(similar) => format!("did you mean {similar}? ({what}: {listed})"),
-        None => format!("{what}: {listed}"),
-    }
-}
-
-/// Returns the name that another one may be a misspelling of. The robots wombat-2 and wombat-3 are different ones.
-fn similar<'a>(name: &str, names: impl Iterator<Item = &'a str>) -> Option<&'a str> {
-    let without_digits = |name: &str| name.replace(|c: char| c.is_ascii_digit(), "");
-    names
-        .filter(|other| without_digits(other) != without_digits(name))
-        .map(|other| (strsim::jaro_winkler(name, other), other))
-        .filter(|(similarity, _)| *similarity >= SIMILAR)
-        .max_by(|(one, _), (other, _)| one.total_cmp(other))
-        .map(|(_, other)| other)
 }
 
 /// Checks whether somebody has a name. Delivers the text of a warning if nobody has.

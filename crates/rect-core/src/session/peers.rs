@@ -7,7 +7,7 @@ use std::{
 
 use serde_json::json;
 
-use super::name_check::reachable_robots;
+use super::names::reachable_robots;
 use crate::{
     clock::MillisecondClock,
     driver::{

@@ -378,7 +378,7 @@ impl Robot {
         if let Some(cached) = self.publications().get(&key) {
             return Ok(cached.clone());
         }
-        self.check_topic(key.topic.as_str());
+        self.inner.warnings.on_topic(key.topic.as_str());
         let session = self.inner.urgency_sessions.of(key.urgency).await;
         let mut publications = self.publications();
         // Another task may have declared it in the meantime.

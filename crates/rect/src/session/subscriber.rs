@@ -138,7 +138,7 @@ impl Robot {
         pattern: &Pattern,
         queue: QueueOptions,
     ) -> Result<Subscriber<T>, Error> {
-        self.check_topic(pattern.topic());
+        self.inner.warnings.on_topic(pattern.topic());
         self.check_name(Used::Pattern(pattern.clone()));
         self.select(self.inner.place.subscriptions(pattern).into(), queue)
     }

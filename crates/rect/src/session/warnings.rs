@@ -8,11 +8,11 @@ use std::{
 
 use rect_core::{
     message::{counters::AtomicCounters, problems::Problems},
-    name::{topic::Topic, Name},
-    session::name_check::{Used, UsedNames},
+    name::{key::KeySpace, topic::Topic, Name},
+    session::name_check::{NameCheck, Used, UsedNames},
 };
 
-use super::{executor::Executor, robot::Robot, shared::Sink};
+use super::shared::Sink;
 
 /// The warnings of one program, and the state that prevents their repetition.
 pub(super) struct Warnings {
@@ -38,38 +38,23 @@ impl Warnings {
             warn(&warning);
         }
     }
-}
 
-impl Robot {
-    /// Counts a value that does not fit in [`Counters::problems`](crate::Counters) and warns of the first one of each sender and
-    /// topic, for a program that converts payloads itself.
-    pub fn on_problem(&self, sender: &Name, topic: &Topic, problem: &dyn Display) {
-        self.inner.warnings.on_problem(sender, topic, problem);
-    }
-
-    /// Warns if nobody has a name that the program uses, within 3 s.
-    pub(super) fn check_name(&self, used: Used) {
-        let check =
-            locked(&self.inner.warnings.names).check(&self.inner.place, used, Instant::now());
-        if let Some(check) = check {
-            let executor = Executor::new(&self.inner.session, check, WarningSink);
-            self.inner.runtime.spawn(async move {
-                // Fails if the session is closed.
-                let _ = executor.run().await;
-            });
-        }
+    /// Returns the check of a name that the program uses, if there is to be one.
+    pub(super) fn name_check(&self, place: &KeySpace, used: Used) -> Option<NameCheck> {
+        locked(&self.names).check(place, used, Instant::now())
     }
 
     /// Warns of a topic or pattern that is probably misspelled.
-    pub(super) fn check_topic(&self, topic: &str) {
-        let warning = locked(&self.inner.warnings.names).on_topic(topic);
+    pub(super) fn on_topic(&self, topic: &str) {
+        let warning = locked(&self.names).on_topic(topic);
         if let Some(warning) = warning {
             warn(&warning);
         }
     }
 }
 
-struct WarningSink;
+/// Passes the warnings of a driver to the program.
+pub(super) struct WarningSink;
 
 impl Sink<String> for WarningSink {
     fn deliver(&self, warning: String) {
