@@ -2,6 +2,7 @@
 //
 //     build/default/tests/rect_tests -# '[#test_typed]'
 #include <nlohmann/json.hpp>
+#include <map>
 #include <optional>
 #include <rect/nlohmann.hpp>
 #include <string>
@@ -28,6 +29,22 @@ struct Pose {
 };
 NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(Pose, x, y)
 
+struct Person {
+    std::string name;
+    int age;
+    Pose home;
+    std::vector<std::string> tags;
+};
+NLOHMANN_DEFINE_TYPE_NON_INTRUSIVE(Person, name, age, home, tags)
+
+std::string repeated(const std::string& text, int times) {
+    std::string all;
+    for (int n = 0; n < times; ++n) {
+        all += text;
+    }
+    return all;
+}
+
 template <class T>
 std::string problem(const std::string& json) {
     const auto value = rect::Payload::json(json).view().value<T>();
@@ -40,16 +57,25 @@ TEST_CASE("the part of a value that does not fit is named") {
     CHECK(problem<Battery>(R"({"percent": 80, "cells": [{"volt": 3.6}], "new": 1})") == "none");
     CHECK(problem<Battery>("{}") == "none");
     CHECK(problem<Pose>(R"({"x": 1})") == "field y: expected a value, found no such field");
-    CHECK(problem<std::vector<Pose>>(R"([{"x": 1, "y": 2}, {"y": null}])") == "field [1].x: expected a value, found no such field");
+    CHECK(problem<std::vector<Pose>>(R"([{"x": 1, "y": 2}, {"y": null}])") == "field x: expected a value, found no such field");
     CHECK(problem<Battery>(R"({"percent": "full"})") == "field percent: expected a number, found the text 'full'");
     CHECK(problem<Battery>(R"({"cells": [{"volt": 1}, {"volt": [1, 2]}]})") ==
           "field cells[1].volt: expected a number, found a list of 2");
     CHECK(problem<std::vector<int>>(R"({"b": 1, "a": 2})") == "expected a list, found an object with the fields a, b");
+    // Others are read before and after the one that does not fit, some with the same type.
+    CHECK(problem<Person>(R"({"name": "arm", "age": "old", "home": {"x": 1, "y": 2}, "tags": ["a", "b"]})") ==
+          "field age: expected a number, found the text 'old'");
+    CHECK(problem<Person>(R"({"name": "arm", "age": 1, "home": {"x": 1, "y": 2}, "tags": ["a", 3]})") ==
+          "field tags[1]: expected text, found the number 3");
+    CHECK(problem<Person>(R"({"name": "arm", "age": 1, "home": {"x": "a", "y": "b"}, "tags": ["a", "b"]})") ==
+          "field home.x: expected a number, found the text 'a'");
+    CHECK(problem<Person>(R"({"name": "arm", "age": {"x": 1, "y": 2}, "home": {"x": 1, "y": 2}, "tags": []})") ==
+          "field age: expected a number, found an object with the fields x, y");
+    CHECK(problem<std::vector<int>>('[' + repeated("1,", 1000) + "\"x\"]") == "expected a number, found a list of 1001");
     CHECK(problem<bool>("null") == "expected true or false, found nothing (null)");
     CHECK(problem<bool>('"' + std::string(100'000, 'x') + '"').size() < 120);
     // The keys of an object may look like the parts of an error.
-    CHECK_THAT((problem<std::map<std::string, int>>(R"({"] (/a) type must be ~1~0/ , but is 'x": "b"})")),
-               ContainsSubstring("found the text 'b'"));
+    CHECK_THAT((problem<std::map<std::string, int>>(R"({"key 'a' not found": "b"})")), ContainsSubstring("found the text 'b'"));
 }
 
 TEST_CASE("values arrive as their type, and others with a problem") {

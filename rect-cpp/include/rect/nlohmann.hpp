@@ -8,16 +8,12 @@
 #ifndef RECT_NLOHMANN_HPP
 #define RECT_NLOHMANN_HPP
 
-// Lets the errors of nlohmann::json name the place of a value that does not fit. Without effect if the program has included
-// nlohmann/json.hpp before.
-#ifndef JSON_DIAGNOSTICS
-#define JSON_DIAGNOSTICS 1
-#endif
 #include <nlohmann/json.hpp>
 #include <string>
 #include <string_view>
 #include <type_traits>
 #include <utility>
+#include <vector>
 
 #include "payload.hpp"
 
@@ -127,53 +123,107 @@ inline std::string described(const nlohmann::json& value) {
     return names.empty() ? "an empty object" : "an object with the fields " + shortened(names);
 }
 
-/// Returns in words why a value does not fit a type, as the other languages do: "field percent: expected a number, found the text
-/// 'full'". `what` is the text of nlohmann::json, such as "[json.exception.type_error.302] (/percent) type must be number, but is
-/// string".
-inline std::string mismatch(const nlohmann::json& value, const std::string& what) {
-    const auto between = [&](std::string_view start, std::string_view end) -> std::string {
-        const auto begin = what.find(start);
-        if (begin == std::string::npos) {
-            return {};
+using Pointer = nlohmann::json::json_pointer;
+
+/// Returns the text of nlohmann::json for a value that does not fit the type, without its number; empty if it fits.
+template <class T>
+std::string misfit(const nlohmann::json& value) {
+    try {
+        (void)value.get<T>();
+        return {};
+    } catch (const nlohmann::json::exception& error) {
+        const std::string_view text = error.what();
+        return std::string(text.substr(text.find("] ") + 2));
+    }
+}
+
+/// Returns the places of all parts of a value, at most `max_parts`: a peer must not make a program slow.
+constexpr std::size_t max_parts = 200;
+inline void list_parts(const nlohmann::json& part, const Pointer& place, std::vector<Pointer>& places) {
+    if (places.size() == max_parts) {
+        return;
+    }
+    places.push_back(place);
+    if (part.is_object()) {
+        for (auto field = part.begin(); field != part.end(); ++field) {
+            list_parts(field.value(), place / field.key(), places);
         }
-        const auto from = begin + start.size();
-        return what.substr(from, what.find(end, from) - from);
+    } else if (part.is_array()) {
+        for (std::size_t index = 0; index < part.size(); ++index) {
+            list_parts(part[index], place / index, places);
+        }
+    }
+}
+
+/// Returns the part of a value that does not fit; the value itself if that is not known. nlohmann::json says which type was
+/// expected, but not where (except with JSON_DIAGNOSTICS, which costs memory, and warnings of GCC 12). So values of other types
+/// are put in place of each part: a part that fits is replaced by none without an error about it.
+template <class T>
+Pointer misfit_place(nlohmann::json value, const std::string& error) {
+    const auto ends_with = [](const std::string& text, const nlohmann::json& part) {
+        const auto end = std::string(" ") + part.type_name();
+        return text.size() >= end.size() && text.compare(text.size() - end.size(), end.size(), end) == 0;
     };
-    const auto place = between("] (", ") ");
-    const nlohmann::json* part = &value;
+    std::vector<Pointer> places;
+    list_parts(value, Pointer(), places);
+    const nlohmann::json others[] = {0, "", true, nullptr, nlohmann::json::array(), nlohmann::json::object()};
+    for (const auto& place : places) {
+        const auto part = value.at(place);
+        bool is_read = false;
+        bool is_replaceable = false;
+        for (const auto& other : others) {
+            // A number may also be read from true or false.
+            const bool is_number = part.is_number() && other.is_boolean() && error.find("must be boolean") == std::string::npos;
+            if (!ends_with(error, part) || std::string_view(other.type_name()) == part.type_name() || is_number) {
+                continue;
+            }
+            value[place] = other;
+            const auto now = misfit<T>(value);
+            is_read |= now != error;
+            is_replaceable |= !ends_with(now, other);
+        }
+        value[place] = part;
+        if (is_read && is_replaceable) {
+            return place;
+        }
+    }
+    return Pointer();
+}
+
+/// Returns in words why a value does not fit a type, as the other languages do: `field percent: expected a number, found the text
+/// 'full'`.
+template <class T>
+std::string mismatch(const nlohmann::json& value) {
+    const auto error = misfit<T>(value);
+    const auto between = [&](std::string_view start, std::string_view end) -> std::string {
+        const auto begin = error.find(start);
+        const auto from = begin + start.size();
+        return begin == std::string::npos ? std::string() : error.substr(from, error.find(end, from) - from);
+    };
+    auto place = misfit_place<T>(value, error);
+    const nlohmann::json& part = value.at(place);
     std::string field;
-    if (!place.empty()) {
-        nlohmann::json::json_pointer rest(place);
-        std::vector<std::string> steps;
-        for (; !rest.empty(); rest.pop_back()) {
-            steps.push_back(rest.back());
-        }
-        for (auto step = steps.rbegin(); step != steps.rend(); ++step) {
-            const bool is_index = part->is_array();
-            part = is_index ? &part->at(std::stoul(*step)) : &part->at(*step);
-            field += is_index ? "[" + *step + "]" : (field.empty() ? "" : ".") + *step;
-        }
+    for (; !place.empty(); place.pop_back()) {
+        const bool is_index = value.at(place.parent_pointer()).is_array();
+        const auto step = is_index ? "[" + place.back() + "]" : place.back();
+        field = step + (field.empty() || field.front() == '[' ? "" : ".") + field;
     }
     const auto missing = between("key '", "' not found");
     if (!missing.empty()) {
-        return "field " + field + (field.empty() ? "" : ".") + missing + ": expected a value, found no such field";
+        return "field " + missing + ": expected a value, found no such field";
     }
-    const auto found = ", found " + described(*part);
-    const auto start = field.empty() ? std::string() : "field " + field + ": ";
     const auto type = between("type must be ", ", but is ");
-    if (type.empty()) {
-        return start + "expected another value (" + what.substr(what.find("] ") + 2) + ")" + found;
-    }
+    auto expected = type.empty() ? "another value (" + error + ")" : type;
     const std::pair<std::string_view, const char*> words[] = {
         {"number", "a number"}, {"string", "text"},      {"boolean", "true or false"},
         {"array", "a list"},    {"object", "an object"}, {"null", "nothing (null)"},
     };
-    for (const auto& [name, expected] : words) {
+    for (const auto& [name, in_words] : words) {
         if (name == type) {
-            return start + "expected " + expected + found;
+            expected = in_words;
         }
     }
-    return start + "expected " + type + found;
+    return (field.empty() ? "" : "field " + field + ": ") + "expected " + expected + ", found " + described(part);
 }
 
 template <class T>
@@ -202,8 +252,8 @@ struct Adapter<T, detail::if_json<T>> {
         }
         try {
             return json->template get<T>();
-        } catch (const nlohmann::json::exception& error) {
-            return detail::failed(Code::payload, detail::mismatch(*json, error.what()));
+        } catch (const nlohmann::json::exception&) {
+            return detail::failed(Code::payload, detail::mismatch<T>(*json));
         }
     }
 };

@@ -55,6 +55,7 @@ class Decoding(Protocol):
     def serve(self, dictionary: _rect.Dictionary) -> None:
         """Serves a dictionary."""
 
+
 _LOG = logging.getLogger("rect")
 
 

@@ -126,8 +126,11 @@ impl NameCheck {
         let robot = &self.robot;
         let names = reachable_robots(robot, reachable);
         let mut text = format!("no robot called {robot} is reachable yet; {names}");
-        if let Used::Pattern(pattern) = &self.used {
-            let topic = pattern.topic();
+        let topic = match &self.used {
+            Used::Pattern(pattern) if !pattern.topic().contains('*') => Some(pattern.topic()),
+            _ => None,
+        };
+        if let Some(topic) = topic {
             text.push_str(&format!(
                 ". The pattern {robot}/{topic} means the robot {robot}; for the topic {robot}/{topic} of every robot, use \
                  */{robot}/{topic}"

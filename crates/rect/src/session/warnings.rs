@@ -65,7 +65,7 @@ impl Sink<String> for WarningSink {
 /// Warns the program through `tracing`, or on standard error if it has no subscriber of `tracing`.
 fn warn(text: &str) {
     if tracing::dispatcher::has_been_set() {
-        tracing::warn!("{text}");
+        tracing::warn!(target: "rect", "{text}");
     } else {
         // Unlike `eprintln!`, without a panic if it is closed.
         let _ = writeln!(std::io::stderr(), "rect: {text}");
