@@ -212,7 +212,8 @@ std::string mismatch(const nlohmann::json& value) {
     if (!missing.empty()) {
         return "field " + missing + ": expected a value, found no such field";
     }
-    const auto type = between("type must be ", ", but is ");
+    // The macros for structs read fields with `at` and `value`.
+    const auto type = error.find("cannot use ") == std::string::npos ? between("type must be ", ", but is ") : "object";
     auto expected = type.empty() ? "another value (" + error + ")" : type;
     const std::pair<std::string_view, const char*> words[] = {
         {"number", "a number"}, {"string", "text"},      {"boolean", "true or false"},
