@@ -61,6 +61,7 @@ fn token(place: &KeySpace, id: &str) -> String {
 pub struct PeersQuery {
     place: KeySpace,
     peers: BTreeSet<Name>,
+    is_own_known: bool,
     question: Question,
 }
 
@@ -70,8 +71,15 @@ impl PeersQuery {
         Self {
             place,
             peers: BTreeSet::new(),
+            is_own_known: false,
             question: Question::new(QUESTIONS),
         }
+    }
+
+    /// Returns whether the own robot has answered, too. Otherwise robots may be reachable whose routers do not know their
+    /// names.
+    pub(super) fn is_own_known(&self) -> bool {
+        self.is_own_known
     }
 }
 
@@ -85,6 +93,7 @@ impl Driver for PeersQuery {
                 let robot = reply
                     .ok()
                     .and_then(|sample| self.place.robot_of(&sample.key));
+                self.is_own_known |= robot.as_ref() == Some(&self.place.robot);
                 let other = robot.filter(|robot| *robot != self.place.robot);
                 if self.peers.len() < MAX_PEERS {
                     self.peers.extend(other);

@@ -425,7 +425,8 @@ impl Sender {
             .values()
             .copied()
             .filter(|potential| potential.is_finite());
-        let best = finite.fold(0.0, f64::max);
+        // Without any report of a frame, all robots are equally fast.
+        let best = finite.reduce(f64::max).unwrap_or(1.0);
         potentials
             .values_mut()
             .for_each(|potential| *potential = potential.min(best));
@@ -447,6 +448,12 @@ impl Sender {
         for ((robot, _), state) in self.receivers.iter().filter(counts) {
             let lowest = robots.entry(robot).or_insert(f64::INFINITY);
             *lowest = state.rate.bytes_per_s().min(*lowest);
+        }
+        if robots.is_empty() {
+            // Nobody is limited by a robot that has not noticed for long that it was moved.
+            let late = (self.receivers.values())
+                .filter(|state| state.is_measured && state.feedback.group == group);
+            return late.map(|state| state.rate.bytes_per_s()).reduce(f64::min);
         }
         let mut rates: Vec<f64> = robots.into_values().collect();
         rates.sort_by(f64::total_cmp);
