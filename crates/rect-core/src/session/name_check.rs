@@ -123,7 +123,9 @@ impl NameCheck {
                 _ => State::Finished,
             };
         }
-        if !self.peers.is_own_known() {
+        // Otherwise the routers do not know the names of their robots.
+        let names_are_known = self.peers.is_own_known() || !reachable.is_empty();
+        if !names_are_known {
             return State::Finished;
         }
         let robot = &self.robot;

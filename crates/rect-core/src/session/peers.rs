@@ -76,8 +76,7 @@ impl PeersQuery {
         }
     }
 
-    /// Returns whether the own robot has answered, too. Otherwise robots may be reachable whose routers do not know their
-    /// names.
+    /// Returns whether the own robot has answered, too.
     pub(super) fn is_own_known(&self) -> bool {
         self.is_own_known
     }
