@@ -40,8 +40,10 @@ const NEWCOMER: Duration = Duration::from_secs(3);
 /// The rate at which frames are sent until the first one is reported, so that they do not fill a queue in front of a
 /// slow link. It is low because a receiver reports its first frame at once.
 const UNREPORTED_BYTES_PER_S: f64 = 5e3;
-/// How long this rate applies while no receiver has sent feedback. Stock Zenoh programs never do.
+/// How long this rate applies while no receiver has sent feedback, which stock Zenoh programs never do, and while one
+/// that has sent feedback may not have received a frame.
 const UNREPORTED: Duration = Duration::from_secs(1);
+const REPORTED_WITHIN: Duration = Duration::from_secs(10);
 /// How long a robot that was moved to the other group still counts in its previous group, but at least three feedback
 /// intervals.
 const LEAVES_WITHIN: Duration = Duration::from_secs(3);
@@ -471,15 +473,18 @@ impl Sender {
         if !self.options.mode.is_adaptive() {
             return false;
         }
+        let is_recent = |since: Instant, within| now.saturating_duration_since(since) < within;
         let is_in = |robot: &Name| self.groups.of(robot) == Some(group);
-        let mut members = (self.receivers.iter())
-            .filter(|((robot, _), _)| is_in(robot))
-            .peekable();
-        if members.peek().is_some() {
-            return members.all(|(_, state)| !state.is_measured);
+        let members = self.receivers.iter().filter(|((robot, _), _)| is_in(robot));
+        let members: Vec<_> = members.map(|(_, state)| state).collect();
+        if members.is_empty() {
+            let first_sent = self.outputs[group.index()].first_sent;
+            return is_recent(first_sent.unwrap_or(now), UNREPORTED);
         }
-        let first_sent = self.outputs[group.index()].first_sent.unwrap_or(now);
-        now.saturating_duration_since(first_sent) < UNREPORTED
+        let is_one_new = members
+            .iter()
+            .any(|state| is_recent(state.since, REPORTED_WITHIN));
+        is_one_new && members.iter().all(|state| !state.is_measured)
     }
 
     /// Returns the group that newcomers join: the slow group if the main group's frames would fill a slow link for
