@@ -289,13 +289,11 @@ def test_router_keeps_running_without_the_dialled_peer(robots):
 
 def test_router_reports_a_missing_or_disabled_adapter(robots, tmp_path):
     missing = Robot("wombat-9", "hci9", tmp_path / "missing.log")
-    with pytest.raises(RobotError):
-        missing.start([])
+    ends_by_itself(missing)
     assert "there is no bluetooth adapter hci9: available adapters: hci0, hci1" in missing.log()
     power("hci1", "off")
     off = Robot("wombat-8", "hci1", tmp_path / "off.log")
-    with pytest.raises(RobotError):
-        off.start([])
+    ends_by_itself(off)
     power("hci1", "on")
     assert "hci1 is switched off: run `bluetoothctl power on`" in off.log()
 
@@ -304,12 +302,18 @@ def test_second_router_with_the_same_name_reports_the_conflict(robots, tmp_path)
     (one,) = robots(1)
     one.start([])
     duplicate = Robot(one.name, "hci1", tmp_path / "duplicate.log")
-    with pytest.raises(RobotError):
-        duplicate.start([])
-        wait_until("the duplicate ends", 10, lambda: duplicate.ended())
-        raise RobotError
+    ends_by_itself(duplicate)
     assert "give one of the two another name=" in duplicate.log()
     assert one.ble_links() == []
+
+
+def ends_by_itself(robot: Robot) -> None:
+    """Starts a router that cannot work, and waits for its end: one that stays would disturb the next scenarios."""
+    try:
+        robot.start([], wait=False)
+        wait_until(f"the router of {robot.name} ends", 60, robot.ended)
+    finally:
+        robot.kill()
 
 
 def test_router_reports_missing_bluetoothd(robots):
