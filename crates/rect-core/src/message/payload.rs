@@ -185,20 +185,23 @@ impl Payload {
     /// Deserializes the payload from JSON, CBOR or text, depending on its encoding.
     ///
     /// # Errors
-    /// Returns [`PayloadError::Mismatch`] if it is none of them, [`PayloadError::Read`] if its bytes are not valid, and
-    /// [`PayloadError::Type`] if its value does not fit `T`.
+    /// Returns [`PayloadError::Mismatch`] for another encoding, [`PayloadError::Read`] if the bytes are not what the encoding says,
+    /// and [`PayloadError::Type`] if the value does not fit `T`.
     pub fn value<T: DeserializeOwned>(&self) -> Result<T, PayloadError> {
+        // The second step takes longer, and finds the part that does not fit. It fails if the bytes are not valid.
+        self.parsed().or_else(|error| match self.parsed() {
+            Ok(value) => Ok(convert(&value)?),
+            Err(_) => Err(error),
+        })
+    }
+
+    fn parsed<T: DeserializeOwned>(&self) -> Result<T, PayloadError> {
         if self.is(&Encoding::JSON) || self.encoding.as_str() == "text/json" {
-            serde_json::from_slice(&self.bytes).or_else(|error| {
-                let value = (error.is_data()).then(|| serde_json::from_slice(&self.bytes));
-                value_of_another_type(value.and_then(Result::ok), || read("JSON", error))
-            })
+            serde_json::from_slice(&self.bytes).map_err(|error| read("JSON", error))
         } else if self.is(&Encoding::CBOR) {
-            read_cbor(&self.bytes).or_else(|error| {
-                let is_data = matches!(error, ciborium::de::Error::Semantic(..));
-                let value = is_data.then(|| read_cbor(&self.bytes));
-                value_of_another_type(value.and_then(Result::ok), || read("CBOR", error))
-            })
+            // Deeper nesting is rejected, because a peer could overflow the stack with it.
+            ciborium::de::from_reader_with_recursion_limit(&*self.bytes, MAX_DEPTH)
+                .map_err(|error| read("CBOR", error))
         } else if self.encoding.is_text() {
             Ok(convert(&self.text()?.into())?)
         } else {
@@ -213,23 +216,6 @@ impl Payload {
     pub(crate) fn mismatch(&self, expected: &'static str) -> PayloadError {
         let found = self.encoding.clone();
         PayloadError::Mismatch { expected, found }
-    }
-}
-
-/// Deeper nesting than [`MAX_DEPTH`] is rejected, because a peer could overflow the stack with it.
-fn read_cbor<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, ciborium::de::Error<std::io::Error>> {
-    ciborium::de::from_reader_with_recursion_limit(bytes, MAX_DEPTH)
-}
-
-/// Returns a value as a type for which its bytes could not be read. That takes longer than reading the bytes, and says which
-/// part does not fit. `error` is the error if the value is not known.
-fn value_of_another_type<T: DeserializeOwned>(
-    value: Option<serde_json::Value>,
-    error: impl FnOnce() -> PayloadError,
-) -> Result<T, PayloadError> {
-    match value {
-        Some(value) => Ok(convert(&value)?),
-        None => Err(error()),
     }
 }
 
