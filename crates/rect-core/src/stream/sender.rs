@@ -40,9 +40,9 @@ const NEWCOMER: Duration = Duration::from_secs(3);
 /// The rate at which frames are sent until the first one is reported, so that they do not fill a queue in front of a
 /// slow link. It is low because a receiver reports its first frame at once.
 const UNREPORTED_BYTES_PER_S: f64 = 5e3;
-/// How long this rate applies while no receiver has sent feedback, which stock Zenoh programs never do, and while one
-/// that has sent feedback may not have received a frame.
+/// How long this rate applies while no receiver has sent feedback. Stock Zenoh programs never do.
 const UNREPORTED: Duration = Duration::from_secs(1);
+/// How long it applies while receivers have sent feedback, and none has reported a frame.
 const REPORTED_WITHIN: Duration = Duration::from_secs(10);
 /// How long a robot that was moved to the other group still counts in its previous group, but at least three feedback
 /// intervals.
@@ -147,9 +147,18 @@ impl Sender {
     /// Returns whether every receiver of a group decodes video, as far as they are known: stock Zenoh programs send no
     /// feedback.
     fn accepts_video(&self, group: Group) -> bool {
-        let is_in = |robot: &Name| self.groups.of(robot) == Some(group);
-        let mut members = self.receivers.iter().filter(|((robot, _), _)| is_in(robot));
-        members.all(|(_, state)| state.feedback.accepts_video)
+        self.members(group)
+            .all(|state| state.feedback.accepts_video)
+    }
+
+    /// Returns the receivers of the robots in a group.
+    fn members(&self, group: Group) -> impl Iterator<Item = &ReceiverState> {
+        let is_in = move |robot: &Name| self.groups.of(robot) == Some(group);
+        let members = self
+            .receivers
+            .iter()
+            .filter(move |((robot, _), _)| is_in(robot));
+        members.map(|(_, state)| state)
     }
 
     fn offer_to(
@@ -267,6 +276,9 @@ impl Sender {
         if (is_full && !is_known) || !self.is_of_this_stream(feedback) {
             return;
         }
+        if feedback.frames > 0 && self.is_unreported(feedback.group, now) {
+            self.outputs[feedback.group.index()].pacer.forget();
+        }
         let limits = self.options.rates;
         let state = self.receivers.entry(key).or_insert_with(|| ReceiverState {
             rate: Rate::new(limits, now),
@@ -277,10 +289,7 @@ impl Sender {
         });
         state.last_report = now;
         state.feedback = *feedback;
-        if feedback.frames > 0 && !state.is_measured {
-            state.is_measured = true;
-            self.outputs[feedback.group.index()].pacer.forget();
-        }
+        state.is_measured |= feedback.frames > 0;
         state.rate.on_feedback(feedback, now);
         // A new robot joins the group that newcomers join, or the slow group, where it affects fewer robots.
         let group = match feedback.group {
@@ -474,17 +483,13 @@ impl Sender {
             return false;
         }
         let is_recent = |since: Instant, within| now.saturating_duration_since(since) < within;
-        let is_in = |robot: &Name| self.groups.of(robot) == Some(group);
-        let members = self.receivers.iter().filter(|((robot, _), _)| is_in(robot));
-        let members: Vec<_> = members.map(|(_, state)| state).collect();
-        if members.is_empty() {
+        if self.members(group).next().is_none() {
             let first_sent = self.outputs[group.index()].first_sent;
             return is_recent(first_sent.unwrap_or(now), UNREPORTED);
         }
-        let is_one_new = members
-            .iter()
-            .any(|state| is_recent(state.since, REPORTED_WITHIN));
-        is_one_new && members.iter().all(|state| !state.is_measured)
+        let mut members = self.members(group);
+        let is_one_new = members.any(|state| is_recent(state.since, REPORTED_WITHIN));
+        is_one_new && self.members(group).all(|state| !state.is_measured)
     }
 
     /// Returns the group that newcomers join: the slow group if the main group's frames would fill a slow link for
