@@ -34,8 +34,8 @@ impl Robot {
         robot: impl TryInto<Name, Error: Into<Error>>,
         timeout: Duration,
     ) -> Result<(), Error> {
-        let robot = valid(robot)?;
-        self.check_name(Used::Robot(Name::clone(&robot)));
+        let robot: Name = valid(robot)?;
+        self.check_name(Used::Robot(robot.clone()));
         let wait = PeerWait::new(&self.inner.place, &robot, Instant::now(), timeout);
         if self.wait(wait).await? {
             return Ok(());

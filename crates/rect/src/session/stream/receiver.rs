@@ -87,8 +87,8 @@ impl Robot {
         stream: impl TryInto<RobotTopic, Error: Into<Error>>,
         queue: QueueOptions,
     ) -> Result<Watcher, Error> {
-        let stream = valid(stream)?;
-        self.check_name(Used::Stream(RobotTopic::clone(&stream)));
+        let stream: RobotTopic = valid(stream)?;
+        self.check_name(Used::Stream(stream.clone()));
         let RobotTopic { robot, topic } = stream;
         let inner = &self.inner;
         let queue = ReceiveQueue::new(Queue::new(queue.capacity, queue.when_full));
