@@ -74,6 +74,14 @@ TEST_CASE("the part of a value that does not fit is named") {
     CHECK(problem<std::vector<int>>('[' + repeated("1,", 1000) + "\"x\"]") == "expected a number, found a list of 1001");
     CHECK(problem<bool>("null") == "expected true or false, found nothing (null)");
     CHECK(problem<bool>('"' + std::string(100'000, 'x') + '"').size() < 120);
+    // A character that is cut, and bytes that are not text.
+    std::string umlauts;
+    for (int n = 0; n < 50; ++n) {
+        umlauts += "\xc3\xa4";
+    }
+    CHECK_THAT(problem<bool>('"' + umlauts + '"'), ContainsSubstring("\xef\xbf\xbd..."));
+    const auto cbor = rect::Payload("\x61\xff", "application/cbor").view().value<bool>();
+    CHECK(cbor.error().text == "expected true or false, found the text '\xef\xbf\xbd'");
     // The keys of an object may look like the parts of an error.
     CHECK_THAT((problem<std::map<std::string, int>>(R"({"key 'a' not found": "b"})")), ContainsSubstring("found the text 'b'"));
 }

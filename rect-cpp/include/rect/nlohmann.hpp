@@ -137,8 +137,12 @@ std::string misfit(const nlohmann::json& value) {
     }
 }
 
-/// Returns the places of all parts of a value, at most `max_parts`: a peer must not make a program slow.
+/// The largest value, in parts and in bytes of its payload, of which the part that does not fit is searched for. The search
+/// converts the value several times for each part, and a peer must not make a program slow.
 constexpr std::size_t max_parts = 200;
+constexpr std::size_t max_searched_bytes = 4096;
+
+/// Returns the places of the parts of a value, at most `max_parts`.
 inline void list_parts(const nlohmann::json& part, const Pointer& place, std::vector<Pointer>& places) {
     if (places.size() == max_parts) {
         return;
@@ -166,6 +170,9 @@ Pointer misfit_place(nlohmann::json value, const std::string& error) {
     };
     std::vector<Pointer> places;
     list_parts(value, Pointer(), places);
+    if (places.size() == max_parts) {
+        return Pointer();
+    }
     const nlohmann::json others[] = {0, "", true, nullptr, nlohmann::json::array(), nlohmann::json::object()};
     for (const auto& place : places) {
         const auto part = value.at(place);
@@ -190,17 +197,23 @@ Pointer misfit_place(nlohmann::json value, const std::string& error) {
     return Pointer();
 }
 
+/// Returns a text as valid UTF-8, with control characters escaped: CBOR may contain any bytes, and shortening may cut a character.
+inline std::string printable(const std::string& text) {
+    const auto quoted = nlohmann::json(text).dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
+    return quoted.substr(1, quoted.size() - 2);
+}
+
 /// Returns in words why a value does not fit a type, as the other languages do: `field percent: expected a number, found the text
-/// 'full'`.
+/// 'full'`. `bytes` is the size of its payload.
 template <class T>
-std::string mismatch(const nlohmann::json& value) {
+std::string mismatch(const nlohmann::json& value, std::size_t bytes) {
     const auto error = misfit<T>(value);
     const auto between = [&](std::string_view start, std::string_view end) -> std::string {
         const auto begin = error.find(start);
         const auto from = begin + start.size();
         return begin == std::string::npos ? std::string() : error.substr(from, error.find(end, from) - from);
     };
-    auto place = misfit_place<T>(value, error);
+    auto place = bytes <= max_searched_bytes ? misfit_place<T>(value, error) : Pointer();
     const nlohmann::json& part = value.at(place);
     std::string field;
     for (; !place.empty(); place.pop_back()) {
@@ -254,7 +267,7 @@ struct Adapter<T, detail::if_json<T>> {
         try {
             return json->template get<T>();
         } catch (const nlohmann::json::exception&) {
-            return detail::failed(Code::payload, detail::mismatch<T>(*json));
+            return detail::failed(Code::payload, detail::printable(detail::mismatch<T>(*json, payload.bytes().size())));
         }
     }
 };
