@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from typing import TYPE_CHECKING
 
 from rect.executor import Executor
@@ -11,17 +10,15 @@ if TYPE_CHECKING:
     from rect import _rect
     from rect.session import Session
 
-_LOG = logging.getLogger("rect")
-
 
 def on_problem(session: Session, sender: str, topic: str, problem: Exception) -> None:
     """Counts a message or request without a value, and warns of the first one of each sender and topic."""
-    _warn(session.counters.on_problem(sender, topic, str(problem)))
+    session.warn(session.counters.on_problem(sender, topic, str(problem)))
 
 
 def on_topic(session: Session, topic: str) -> None:
     """Warns of a topic or pattern that is probably misspelled."""
-    _warn(session.used_names.on_topic(topic))
+    session.warn(session.used_names.on_topic(topic))
 
 
 def on_pattern(session: Session, pattern: str) -> None:
@@ -42,9 +39,4 @@ def on_stream(session: Session, stream: str) -> None:
 
 def _check(session: Session, check: _rect.Driver | None) -> None:
     if check is not None:
-        Executor(session, check, _warn).start("rect-name-check")
-
-
-def _warn(text: str | None) -> None:
-    if text is not None:
-        _LOG.warning("%s", text)
+        Executor(session, check, session.warn).start("rect-name-check")

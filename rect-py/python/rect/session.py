@@ -113,6 +113,11 @@ class Session:
             with contextlib.suppress(IndexError):
                 self.abandoned.popleft().end()
 
+    def warn(self, text: str | None) -> None:
+        """Warns the program, if there is a text."""
+        if text is not None:
+            _LOG.warning("%s", text)
+
     def publication(self, topic: str, recipient: str | None, urgency: str, expires: bool) -> Publication:
         """Returns the publisher of a topic, for all robots or one recipient, and declares it if necessary.
 
@@ -122,8 +127,7 @@ class Session:
         publication = self._publications.get(key_parts)
         if publication is not None:
             return publication
-        if warning := self.used_names.on_topic(topic):
-            _LOG.warning("%s", warning)
+        self.warn(self.used_names.on_topic(topic))
         key = self.key_space.publication(topic, recipient)
         service = qos(_rect.qos(urgency, expires))
         with self.calls:
