@@ -93,6 +93,9 @@ typedef enum rect_code {
     RECT_CODE_THREAD = 23,
     // A recording cannot start, or not become a file. Choose another name, or make room on the disk.
     RECT_CODE_RECORDING = 24,
+    // A service may have received the request, and no reply follows: its program, a router or the link ended. It may have been
+    // carried out; ask the robot before you repeat a request that must not be carried out twice.
+    RECT_CODE_INTERRUPTED = 25,
 } rect_code;
 
 // The state of a connection.
@@ -1076,7 +1079,8 @@ enum rect_code rect_recorder_finish(struct rect_recorder recorder,
 // ```
 //
 // Returns `RECT_CODE_SERVICE` if the service replies with an error, which is the text; `RECT_CODE_NO_SERVICE` if the robot
-// does not offer the service or is not reachable; and `RECT_CODE_TIMED_OUT` if there is no reply within `timeout_ms`.
+// does not offer the service or is not reachable; `RECT_CODE_INTERRUPTED` if it may have received the request and does not reply
+// because its program ended, or a router or link did; and `RECT_CODE_TIMED_OUT` if there is no reply within `timeout_ms`.
 //
 // May be called on any thread.
 enum rect_code rect_robot_request(struct rect_robot robot,

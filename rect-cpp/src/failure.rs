@@ -63,6 +63,9 @@ pub enum Code {
     Thread = 23,
     /// A recording cannot start, or not become a file. Choose another name, or make room on the disk.
     Recording = 24,
+    /// A service may have received the request, and no reply follows: its program, a router or the link ended. It may have been
+    /// carried out; ask the robot before you repeat a request that must not be carried out twice.
+    Interrupted = 25,
 }
 
 /// The reason why a call failed.
@@ -144,6 +147,7 @@ fn code(error: &Error) -> Code {
         Error::WrongRobot(_) => Code::WrongRobot,
         Error::Option { .. } => Code::Option,
         Error::NoService { .. } => Code::NoService,
+        Error::Interrupted { .. } => Code::Interrupted,
         Error::TimedOut { .. } => Code::TimedOut,
         Error::Service { .. } => Code::Service,
         Error::Zenoh { .. } => Code::Zenoh,

@@ -91,7 +91,8 @@ fn into_c(reply: rect::Reply) -> Reply {
 /// ```
 ///
 /// Returns `RECT_CODE_SERVICE` if the service replies with an error, which is the text; `RECT_CODE_NO_SERVICE` if the robot
-/// does not offer the service or is not reachable; and `RECT_CODE_TIMED_OUT` if there is no reply within `timeout_ms`.
+/// does not offer the service or is not reachable; `RECT_CODE_INTERRUPTED` if it may have received the request and does not reply
+/// because its program ended, or a router or link did; and `RECT_CODE_TIMED_OUT` if there is no reply within `timeout_ms`.
 ///
 /// May be called on any thread.
 #[no_mangle]

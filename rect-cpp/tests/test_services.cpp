@@ -78,6 +78,28 @@ TEST_CASE("a request to an unknown robot fails with an error that lists the reac
     CHECK_THAT(reply.error().text, ContainsSubstring("wombat-2"));
 }
 
+TEST_CASE("a request whose program ends may have been carried out") {
+    Pair pair;
+    Flag began;
+    Flag go;
+    const auto service = must(pair.two.serve("slow", [&](const rect::Request& request) {
+        if (request.payload.text().value() == "wait") {
+            began.set();
+            go.wait();
+        }
+        return "done";
+    }));
+    must(request_when_available(pair.one, "slow", "ready?"));
+    rect::expected<rect::Reply> reply = rect::unexpected<rect::Error>(rect::Error{rect::Code::other, ""});
+    std::thread asking([&] { reply = pair.one.request("wombat-2", "slow", "wait", deadline); });
+    REQUIRE(began.wait());
+    must(pair.two.close());
+    asking.join();
+    go.set();
+    REQUIRE_FALSE(reply.has_value());
+    CHECK(reply.error().code == rect::Code::interrupted);
+}
+
 TEST_CASE("a slow service times out, and dropping it waits for the call in progress") {
     Pair pair;
     Flag began;

@@ -53,7 +53,7 @@ mod _rect {
         publication::Numbering,
         queue::{Ended, Queue},
         recording::{Recorder, RecordingReader},
-        request::{busy_reply, error_encoding, requester, Inquiry},
+        request::{busy_reply, error_encoding, requester, Inquiry, Sent, Served},
         router::{check_router, default_login_file, robot_of_router, JoinAttempts},
         settings::{default_router, session_settings},
         stream::{FrameReader, Job, StreamPublish, StreamWatch},
@@ -71,9 +71,8 @@ mod _rect {
             message::{queue::DEFAULT_CAPACITY, request::DEFAULT_TIMEOUT_MS},
             registry::named_connection,
             session::{
-                endpoint, inquiry, login, peers,
-                publication::{self, Publications},
-                router, service, settings,
+                declarations, endpoint, inquiry, login, peers, publication, router, service,
+                settings,
             },
         };
         use rect_recording::{answer, recorder, report};
@@ -85,7 +84,7 @@ mod _rect {
         module.add("LINKS_EVERY_S", report::LINKS_EVERY.as_secs_f64())?;
         module.add("LOGIN_VARIABLE", login::FILE_VARIABLE)?;
         module.add("MAX_CONCURRENT", service::MAX_CONCURRENT)?;
-        module.add("MAX_PUBLICATIONS", Publications::<()>::MAX)?;
+        module.add("MAX_DECLARATIONS", declarations::MAX)?;
         module.add("MAX_REPLIES", inquiry::MAX_REPLIES)?;
         module.add("QUERY_TIMEOUT_S", peers::TIMEOUT.as_secs_f64())?;
         module.add("RECORDED_EVENTS", report::EVENTS)?;

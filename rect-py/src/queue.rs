@@ -5,6 +5,7 @@
 use std::{
     collections::VecDeque,
     sync::{Condvar, Mutex, MutexGuard, PoisonError},
+    thread::{self, ThreadId},
 };
 
 use pyo3::{create_exception, exceptions::PyException, intern, prelude::*};
@@ -37,8 +38,8 @@ struct State {
     alarm: Option<Py<PyAny>>,
     /// Whether further items are rejected.
     is_closed: bool,
-    /// Whether the side that fills the queue has closed it.
-    is_finished: bool,
+    /// The thread on which the side that fills the queue has closed it.
+    finished_on: Option<ThreadId>,
 }
 
 #[pymethods]
@@ -65,7 +66,7 @@ impl Queue {
             waiting_for_room: 0,
             alarm: None,
             is_closed: false,
-            is_finished: false,
+            finished_on: None,
         };
         Ok(Self {
             state: Mutex::new(state),
@@ -161,14 +162,20 @@ impl Queue {
 
     /// Closes the queue after its last item. Called by the side that fills the queue.
     fn end(&self, py: Python<'_>) -> PyResult<()> {
-        self.state().is_finished = true;
+        self.state().finished_on = Some(thread::current().id());
         self.close(py)
     }
 
     /// Whether the side that fills the queue has closed it.
     #[getter]
     fn is_finished(&self) -> bool {
-        self.state().is_finished
+        self.state().finished_on.is_some()
+    }
+
+    /// Whether it has done so on this thread.
+    #[getter]
+    fn is_finished_here(&self) -> bool {
+        self.state().finished_on == Some(thread::current().id())
     }
 
     /// Number of items dropped because the queue was full.

@@ -1,4 +1,6 @@
 //! Exposes the requests of a program, the meaning of their replies, and the headers of the requests to its services.
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
 use bytes::Bytes;
 use pyo3::{
     intern,
@@ -10,6 +12,7 @@ use rect_core::{
     message::{encoding::Encoding, payload::Payload, request::error_to_payload},
     session::{
         inquiry::{self, ReplyKind},
+        served::{self, Unanswered},
         service::{self, Requester},
     },
 };
@@ -91,6 +94,58 @@ impl Inquiry {
     #[getter]
     fn expected(&self) -> String {
         self.0.expected()
+    }
+}
+
+/// Whether somebody serves a key.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct Served(served::Served);
+
+/// The state of `Served` when a request was sent.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct Sent(Mutex<served::Sent>);
+
+#[pymethods]
+impl Served {
+    #[new]
+    fn new() -> Self {
+        Self(served::Served::default())
+    }
+
+    /// Handles a report of Zenoh.
+    fn on_matching(&self, is_served: bool) {
+        self.0.on_matching(is_served);
+    }
+
+    /// Returns the state for a request that will be sent now.
+    fn sending(&self) -> Sent {
+        Sent(Mutex::new(self.0.sending()))
+    }
+
+    /// Returns whether a request that ended without a reply may have been carried out. `at_once`: it had ended when Zenoh returned
+    /// from sending it.
+    fn is_interrupted(&self, sent: &Sent, at_once: bool) -> bool {
+        self.0.unanswered(*sent.core(), at_once) == Unanswered::Interrupted
+    }
+}
+
+#[pymethods]
+impl Sent {
+    /// Whether Zenoh is to be asked for the state of now, when it has taken the request.
+    #[getter]
+    fn must_ask(&self) -> bool {
+        self.core().must_ask()
+    }
+
+    /// Handles Zenoh's answer.
+    fn on_answer(&self, is_served: bool) {
+        self.core().on_answer(is_served);
+    }
+}
+
+impl Sent {
+    fn core(&self) -> MutexGuard<'_, served::Sent> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -90,17 +90,17 @@ def until_subscribed(publishing: rect.Robot, topic: str) -> None:
     _until_matching(publisher)
 
 
-def until_served(requester: rect.Robot, robot: str, topic: str) -> None:
-    """Waits until `requester` has discovered a service of another program."""
+def until_served(requester: rect.Robot, robot: str, topic: str, is_served: bool = True) -> None:
+    """Waits until `requester` has discovered a service of another program, or its end."""
     querier = requester.zenoh.declare_querier(f"rect/{robot}/{topic}", allowed_destination=_remote())
-    _until_matching(querier)
+    _until_matching(querier, is_served)
 
 
-def _until_matching(declared: Any) -> None:
+def _until_matching(declared: Any, expected: bool = True) -> None:
     changes: queue.SimpleQueue[bool] = queue.SimpleQueue()
     listener = declared.declare_matching_listener(lambda status: changes.put(status.matching))
     matching = declared.matching_status.matching
-    while not matching:
+    while matching is not expected:
         matching = changes.get(timeout=DEADLINE)
     listener.undeclare()
     declared.undeclare()

@@ -9,6 +9,7 @@ import logging
 import sys
 import threading
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 import rect
@@ -103,6 +104,40 @@ def test_no_service_error_lists_reachable_robots(pair: Pair) -> None:
         pair[1].request("wombat-9", "nothing", timeout=DEADLINE)
 
 
+def test_request_whose_service_does_not_reply_may_have_been_carried_out(pair: Pair) -> None:
+    one, two = pair
+
+    @one.serve("none")
+    def none(request: rect.Request) -> Iterator[int]:
+        yield from range(request.value)
+
+    until_served(two, "wombat-1", "none")
+    with pytest.raises(
+        rect.Interrupted, match="wombat-1 did not reply to the request none, which may have been carried"
+    ):
+        two.request("wombat-1", "none", 0, timeout=DEADLINE)
+
+
+def test_request_whose_program_ends_may_have_been_carried_out(pair: Pair) -> None:
+    one, two = pair
+    began, proceed = threading.Event(), threading.Event()
+
+    @one.serve("slow")
+    def slow(request: rect.Request) -> None:
+        if request.value == "wait":
+            began.set()
+            proceed.wait(DEADLINE)
+
+    until_served(two, "wombat-1", "slow")
+    with ThreadPoolExecutor() as pool:
+        asking = pool.submit(two.request, "wombat-1", "slow", "wait", timeout=DEADLINE)
+        assert began.wait(DEADLINE)
+        one.zenoh.close()
+        error = asking.exception(DEADLINE)
+        proceed.set()
+    assert isinstance(error, rect.Interrupted)
+
+
 def test_request_times_out(pair: Pair) -> None:
     one, two = pair
     proceed = threading.Event()
@@ -135,6 +170,7 @@ def test_closed_service_no_longer_replies(pair: Pair) -> None:
     with one.serve("once", lambda request: 1):
         until_served(two, "wombat-1", "once")
         assert two.request("wombat-1", "once", timeout=DEADLINE).value == 1
+    until_served(two, "wombat-1", "once", is_served=False)
     with pytest.raises(rect.NoService):
         two.request("wombat-1", "once", timeout=DEADLINE)
 

@@ -85,6 +85,19 @@ pub enum Error {
         /// The reachable robots.
         available: Vec<Name>,
     },
+    /// A service received the request, or may have received it, and no reply followed: the program that serves it, a router or the
+    /// link to it ended meanwhile, or the program ended the request without a reply. It may have been carried out; ask the robot
+    /// before you repeat a request that must not be carried out twice.
+    #[error(
+        "{robot} did not reply to the request {topic}, which may have been carried out: its program, a router or the link \
+         ended meanwhile. Check before you send it again"
+    )]
+    Interrupted {
+        /// The robot that was asked.
+        robot: Name,
+        /// The topic of the service.
+        topic: String,
+    },
     /// The timeout expired. Try again, set a longer timeout, or check the link (`rect connections`).
     #[error("no {expected} within {}", humanize::duration(*.timeout))]
     TimedOut {

@@ -11,6 +11,7 @@ mod next_item;
 mod options;
 mod publication;
 mod publisher;
+mod querier;
 mod queries;
 mod receive_queue;
 #[cfg(feature = "recording")]

@@ -73,6 +73,9 @@ enum class Code {
     thread = RECT_CODE_THREAD,
     /// A recording cannot start, or not become a file. Choose another name, or make room on the disk.
     recording = RECT_CODE_RECORDING,
+    /// A service may have received the request, and no reply follows: its program, a router or the link ended. It may have been
+    /// carried out; ask the robot before you repeat a request that must not be carried out twice.
+    interrupted = RECT_CODE_INTERRUPTED,
 };
 
 /// The reason why a call failed.

@@ -195,7 +195,8 @@ public:
     /// `request<Pose>(...)`, otherwise a Reply with any value.
     ///
     /// Fails with Code::service if the service replies with an error, with Code::no_service if the robot does not offer the
-    /// service or is not reachable, with Code::timed_out if there is no reply within `timeout`, and with Code::payload if the value
+    /// service or is not reachable, with Code::interrupted if it may have received the request and does not reply because its
+    /// program ended, or a router or link did, with Code::timed_out if there is no reply within `timeout`, and with Code::payload if the value
     /// of the reply does not fit.
     template <class R = void, class T>
     [[nodiscard]] expected<typename detail::Typed<R>::Reply> request(const Text& recipient, const Text& topic, const T& value,

@@ -255,7 +255,7 @@ class Robot:
         finally:
             replies.leave()
         if reply is None:
-            raise NoService(robot, topic, await self.peers())
+            raise replies.interrupted() or NoService(robot, topic, await self.peers())
         return reply
 
     @overload

@@ -115,6 +115,19 @@ class NoService(RectError, LookupError):
         self.available = available
 
 
+class Interrupted(RectError, ConnectionError):
+    """A request may have been carried out, and no reply follows: the service's program, a router or the link ended.
+
+    Ask the robot before you repeat a request that must not be carried out twice.
+    """
+
+    def __init__(self, robot: str, topic: str) -> None:
+        super().__init__(
+            f"{robot} did not reply to the request {topic}, which may have been carried out: its program, a "
+            "router or the link ended meanwhile. Check before you send it again"
+        )
+
+
 class TimedOut(RectError, TimeoutError):
     """The timeout has expired. Try again, allow more time, or check the link (`python -m rect connections`)."""
 

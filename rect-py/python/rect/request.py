@@ -11,7 +11,7 @@ import zenoh
 
 from rect import _rect
 from rect._zenoh import direct, get_arguments, zenoh_error
-from rect.errors import RectError, ServiceError, TimedOut, ZenohError
+from rect.errors import Interrupted, RectError, ServiceError, TimedOut, ZenohError
 from rect.receive_queue import Ended, ReceiveQueue
 from rect.typed import Converter, T
 from rect.values import Payload
@@ -61,6 +61,7 @@ class Replies(Generic[T]):
     ) -> None:
         self._session = session
         self._converter = converter
+        self._asked = robot, topic
         self._inquiry = _rect.Inquiry(session.key_space, robot, topic, timeout)
         self._timeout = timeout
         self._deadline = time.monotonic() + timeout
@@ -69,6 +70,9 @@ class Replies(Generic[T]):
         session.receive_queues.add(self._queue)
         _, _, *query = self._inquiry.get(payload.bytes, payload.encoding, urgency)
         selector, arguments = get_arguments(*query)
+        querier = session.querier(urgency, selector)
+        self._served = querier.served
+        self._sent = self._served.sending()
         try:
             with session.calls:
                 session.urgency_sessions.of(urgency).get(
@@ -80,6 +84,10 @@ class Replies(Generic[T]):
                 )
         except zenoh.ZError as error:
             raise zenoh_error("cannot send the request", error) from error
+        # As a request that matches nothing does.
+        self._ended_at_once = self._queue.queue.is_finished_here
+        if self._sent.must_ask and not self._ended_at_once:
+            self._sent.on_answer(querier.is_served())
 
     def __iter__(self) -> Iterator[Reply[T]]:
         return self
@@ -104,6 +112,13 @@ class Replies(Generic[T]):
         except TimeoutError:
             raise self.timed_out() from None
         return self._reply(reply)
+
+    def interrupted(self) -> Interrupted | None:
+        """Returns the error if the request has ended without a reply, and may have been carried out by the robot."""
+        robot, topic = self._asked
+        if robot is not None and self._served.is_interrupted(self._sent, self._ended_at_once):
+            return Interrupted(robot, topic)
+        return None
 
     def leave(self) -> None:
         """Ignores further replies. If the request has not ended, it is cancelled later, without blocking now."""

@@ -375,7 +375,8 @@ class Robot:
         - `urgency`, `codec`: see `publish`.
 
         Raises `ServiceError` if the service replies with an error, `NoService` if no program of that robot serves the
-        topic (its text lists the reachable robots), `TimedOut`, `InvalidNameError`, `InvalidTopicError`,
+        topic (its text lists the reachable robots), `Interrupted` if one may have received the request and does not
+        reply because it ended, or a router or link did, `TimedOut`, `InvalidNameError`, `InvalidTopicError`,
         `PayloadError`, `OptionError` and `Closed`.
 
         >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
@@ -389,7 +390,7 @@ class Robot:
                 return reply
         finally:
             replies.leave()
-        raise NoService(robot, topic, self.peers())
+        raise replies.interrupted() or NoService(robot, topic, self.peers())
 
     @overload
     def request_all(

@@ -21,6 +21,7 @@ from rect._zenoh import call_interruptibly, qos, zenoh_error
 from rect.errors import Closed, ThreadError
 from rect.options import Options
 from rect.publication import Publication
+from rect.querier import Querier
 from rect.receive_queue import ReceiveQueue
 from rect.urgency_sessions import UrgencySessions
 from rect.values import Payload
@@ -93,6 +94,7 @@ class Session:
         self._lock = threading.Lock()
         self._why_closed: str | None = None
         self._publications: dict[tuple[str, str | None, str, bool], Publication] = {}
+        self._queriers: dict[tuple[str, str], Querier] = {}
         #: Links of the robot's router; `None` without a router.
         self.links: _rect.Links | None = None
         _OPEN.add(self)
@@ -133,9 +135,28 @@ class Session:
         with self.calls:
             publication = Publication(self.urgency_sessions.of(urgency), key, service, self.check)
         with self._lock:
-            if len(self._publications) >= _rect.MAX_PUBLICATIONS:
+            if len(self._publications) >= _rect.MAX_DECLARATIONS:
                 self._publications.clear()
             return self._publications.setdefault(key_parts, publication)
+
+    def querier(self, urgency: str, key: str) -> Querier:
+        """Returns the querier of a key in the session of an urgency, and declares it if necessary."""
+        querier = self._queriers.get((urgency, key))
+        if querier is not None:
+            return querier
+        with self.calls:
+            querier = Querier(self.urgency_sessions.of(urgency), key)
+        removed: list[Querier] = []
+        with self._lock:
+            if len(self._queriers) >= _rect.MAX_DECLARATIONS:
+                removed = list(self._queriers.values())
+                self._queriers.clear()
+            # Another thread may have declared one in the meantime; either will do.
+            self._queriers[urgency, key] = querier
+        with self.calls:
+            for one in removed:
+                one.undeclare()
+        return querier
 
     def publish(
         self, topic: str, recipient: str | None, payload: Payload, urgency: str, lifetime: float | None
@@ -178,6 +199,10 @@ class Session:
     def _close_zenoh(self) -> None:
         for publication in self._all_publications():
             publication.undeclare()
+        with self._lock:
+            queriers = list(self._queriers.values())
+        for querier in queriers:
+            querier.undeclare()
         self.urgency_sessions.close()
 
     def _all_publications(self) -> list[Publication]:

@@ -1,5 +1,5 @@
-//! Decides how a message is published: its key, its number, and which publishers are kept.
-use std::{collections::HashMap, sync::Arc, time::Duration};
+//! Decides how a message is published: its key and its number.
+use std::time::Duration;
 
 use crate::{
     message::{
@@ -90,34 +90,6 @@ fn in_ms(lifetime: Duration) -> u32 {
     u32::try_from(ms).unwrap_or(u32::MAX)
 }
 
-/// The publishers that a program has used.
-#[derive(Debug)]
-pub struct Publications<P>(HashMap<PublicationKey, Arc<P>>);
-
-impl<P> Publications<P> {
-    /// The maximum number of publishers. Adding one more empties the cache; publishers are declared again on use.
-    pub const MAX: usize = 256;
-
-    /// Returns the publisher of a key.
-    pub fn get(&self, key: &PublicationKey) -> Option<&Arc<P>> {
-        self.0.get(key)
-    }
-
-    /// Adds a publisher.
-    pub fn add(&mut self, key: PublicationKey, publisher: Arc<P>) {
-        if self.0.len() >= Self::MAX {
-            self.0.clear();
-        }
-        self.0.insert(key, publisher);
-    }
-}
-
-impl<P> Default for Publications<P> {
-    fn default() -> Self {
-        Self(HashMap::new())
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -145,17 +117,6 @@ mod tests {
         numbering.next = u32::MAX;
         numbering.on_sent();
         assert_eq!(number(&numbering), 0);
-    }
-
-    #[test]
-    fn the_cache_is_emptied_when_it_is_full() {
-        let mut publications = Publications::default();
-        for topic in 0..=Publications::<()>::MAX {
-            publications.add(destination(topic, None), Arc::new(topic));
-        }
-        assert_eq!(publications.0.len(), 1);
-        let last = destination(Publications::<()>::MAX, None);
-        assert_eq!(publications.get(&last).map(|last| **last), Some(256));
     }
 
     #[test]

@@ -3,8 +3,9 @@ use std::{
     ops::Deref,
     sync::{
         atomic::{AtomicBool, Ordering},
-        Arc, Condvar, Mutex, MutexGuard, PoisonError,
+        Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError,
     },
+    thread::{self, ThreadId},
 };
 
 use rect_core::message::queue::{Pushed, Queue};
@@ -17,6 +18,8 @@ use super::shared::Sink;
 pub(super) struct ReceiveQueue<T> {
     state: Mutex<State<T>>,
     closed: AtomicBool,
+    /// The thread that dropped the writing end.
+    finished_on: OnceLock<ThreadId>,
     arrived: Notify,
     taken: Condvar,
 }
@@ -34,6 +37,7 @@ impl<T> ReceiveQueue<T> {
         Arc::new(Self {
             state: Mutex::new(State { queue, waiting: 0 }),
             closed: AtomicBool::new(false),
+            finished_on: OnceLock::new(),
             arrived: Notify::new(),
             taken: Condvar::new(),
         })
@@ -68,7 +72,7 @@ impl<T> ReceiveQueue<T> {
             }
             if self.state().queue.is_burst() {
                 // The thread yields, not only the task: what fills the queue are other threads, perhaps on the same core.
-                std::thread::yield_now();
+                thread::yield_now();
             }
             let arrived = self.arrived.notified();
             if let Some(item) = self.try_pop() {
@@ -124,6 +128,11 @@ impl<T> ReceiveQueue<T> {
 
     pub(super) fn is_closed(&self) -> bool {
         self.closed.load(Ordering::Acquire)
+    }
+
+    /// Returns whether the writing end was dropped on this thread.
+    pub(super) fn is_finished_here(&self) -> bool {
+        self.finished_on.get() == Some(&thread::current().id())
     }
 
     fn state(&self) -> MutexGuard<'_, State<T>> {
@@ -189,6 +198,7 @@ impl<T> Deref for QueueWriter<T> {
 
 impl<T> Drop for QueueWriter<T> {
     fn drop(&mut self) {
+        let _ = self.0.finished_on.set(thread::current().id());
         self.0.close();
     }
 }

@@ -15,7 +15,10 @@ use rect_core::{
         queue::{Queue, WhenFull},
     },
     name::{topic::Topic, Name},
-    session::inquiry::{Inquiry, ReplyKind, MAX_REPLIES},
+    session::{
+        inquiry::{Inquiry, ReplyKind, MAX_REPLIES},
+        served::{Sent, Unanswered},
+    },
 };
 use zenoh::cancellation::CancellationToken;
 
@@ -23,6 +26,7 @@ use super::{
     convert,
     decoder::Decoder,
     next_item::NextItem,
+    querier::Querier,
     queries,
     receive_queue::{QueueWriter, ReceiveQueue},
     robot::Robot,
@@ -53,6 +57,11 @@ struct Arriving {
     queue: Arc<ReceiveQueue<zenoh::query::Reply>>,
     decoder: Arc<Decoder>,
     state: Mutex<State>,
+    querier: Arc<Querier>,
+    /// Whether the topic was served when the request was sent.
+    sent: Sent,
+    /// Whether Zenoh had ended the request when it returned from sending it.
+    ended_at_once: bool,
 }
 
 struct State {
@@ -86,7 +95,8 @@ impl Robot {
     ///
     /// # Errors
     /// [`Error::Service`] if the service replies with an error, [`Error::NoService`] if no program at `robot` serves
-    /// the topic, [`Error::TimedOut`] if no reply arrives in time ([`with_timeout`](Self::with_timeout)); [`Error::Name`], [`Error::Topic`] or
+    /// the topic, [`Error::Interrupted`] if one may have received the request and does not reply because it ended, or a router or
+    /// link did, [`Error::TimedOut`] if no reply arrives in time ([`with_timeout`](Self::with_timeout)); [`Error::Name`], [`Error::Topic`] or
     /// [`Error::Payload`] if an argument is invalid, or if the reply does not fit `T`; [`Error::Codec`] if the codec of this
     /// handle does not support the value or the reply cannot be decoded; [`Error::Closed`] if the session is closed.
     ///
@@ -104,7 +114,13 @@ impl Robot {
         let replies = self.query::<T>(Some(robot), topic, value).await?;
         match replies.next().await {
             Some(reply) => reply,
-            None => Err(self.no_service(asked, service).await),
+            None => match replies.arriving.unanswered() {
+                Unanswered::NoService => Err(self.no_service(asked, service).await),
+                Unanswered::Interrupted => Err(Error::Interrupted {
+                    robot: asked,
+                    topic: service,
+                }),
+            },
         }
     }
 
@@ -150,6 +166,8 @@ impl Robot {
         // Zenoh drops the callback after the last reply.
         let writer = QueueWriter::new(&queue);
         let session = self.inner.urgency_sessions.of(self.urgency()).await;
+        let querier = self.querier(session, &get.selector)?;
+        let mut sent = querier.served.sending();
         let asked = queries::builder(session, get)
             .cancellation_token(cancellation.clone())
             .callback(move |reply| {
@@ -158,6 +176,11 @@ impl Robot {
         asked
             .await
             .map_err(Error::zenoh("cannot send the request"))?;
+        // As a request that matches nothing does.
+        let ended_at_once = queue.is_finished_here();
+        if sent.must_ask() && !ended_at_once {
+            sent.on_answer(querier.is_served());
+        }
         let state = State {
             inquiry,
             undecoded: Vec::new(),
@@ -167,6 +190,9 @@ impl Robot {
                 queue,
                 decoder: self.inner.decoder.clone(),
                 state: Mutex::new(state),
+                querier,
+                sent,
+                ended_at_once,
             }),
             next: NextItem::default(),
             cancellation,
@@ -255,6 +281,13 @@ impl Arriving {
                 source: format!("its key is {key:?}").into(),
             }),
         }
+    }
+
+    /// Returns why the request ended without a reply.
+    fn unanswered(&self) -> Unanswered {
+        self.querier
+            .served
+            .unanswered(self.sent, self.ended_at_once)
     }
 
     fn state(&self) -> MutexGuard<'_, State> {

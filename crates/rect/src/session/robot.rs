@@ -15,10 +15,7 @@ use rect_core::{
         urgency::Urgency,
     },
     name::{key::KeySpace, topic::Topic, Name},
-    session::{
-        peers::DirectPresence,
-        publication::{PublicationKey, Publications},
-    },
+    session::{declarations::Declarations, peers::DirectPresence, publication::PublicationKey},
 };
 use tokio::runtime::Handle;
 use zenoh::{Config, Session};
@@ -27,6 +24,7 @@ use super::{
     decoder::Decoder,
     executor::{Executor, Running},
     publication::{Publication, Put},
+    querier::Querier,
     router_links::RouterLinks,
     shared::NoItems,
     urgency_sessions::UrgencySessions,
@@ -53,7 +51,8 @@ pub(super) struct Inner {
     pub(super) urgency_sessions: UrgencySessions,
     pub(super) place: KeySpace,
     pub(super) runtime: Handle,
-    publications: Mutex<Publications<Publication>>,
+    publications: Mutex<Declarations<PublicationKey, Publication>>,
+    queriers: Mutex<Declarations<(Urgency, String), Querier>>,
     pub(super) decoder: Arc<Decoder>,
     pub(super) counting: Arc<AtomicCounters>,
     pub(super) warnings: Arc<Warnings>,
@@ -94,6 +93,7 @@ impl Robot {
             place,
             runtime: Handle::current(),
             publications: Mutex::default(),
+            queriers: Mutex::default(),
             decoder,
             warnings: Warnings::new(Arc::clone(&counting)),
             counting,
@@ -389,13 +389,33 @@ impl Robot {
         let counting = self.inner.counting.clone();
         let publication = Publication::declare(session, zenoh_key, key.qos(), counting)?;
         let publication = Arc::new(publication);
-        publications.add(key, publication.clone());
+        let removed = publications.add(key, publication.clone());
+        drop(publications);
+        drop(removed);
         Ok(publication)
     }
 
-    fn publications(&self) -> MutexGuard<'_, Publications<Publication>> {
+    fn publications(&self) -> MutexGuard<'_, Declarations<PublicationKey, Publication>> {
         let publications = self.inner.publications.lock();
         publications.unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Returns the querier of a key, and declares it if necessary. `session` is that of this handle's urgency.
+    pub(super) fn querier(&self, session: &Session, key: &str) -> Result<Arc<Querier>, Error> {
+        let name = (self.urgency, key.to_owned());
+        if let Some(cached) = self.queriers().get(&name) {
+            return Ok(cached.clone());
+        }
+        let querier = Arc::new(Querier::declare(session, key.to_owned())?);
+        // Another task may have declared one in the meantime; either will do.
+        let removed = self.queriers().add(name, querier.clone());
+        drop(removed);
+        Ok(querier)
+    }
+
+    fn queriers(&self) -> MutexGuard<'_, Declarations<(Urgency, String), Querier>> {
+        let queriers = self.inner.queriers.lock();
+        queriers.unwrap_or_else(PoisonError::into_inner)
     }
 }
 

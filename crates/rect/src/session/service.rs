@@ -56,7 +56,7 @@ pub struct Service {
     task: JoinHandle<()>,
 }
 
-/// A request to a service of this program. If it is dropped without a reply, the requester gets [`Error::NoService`].
+/// A request to a service of this program. If it is dropped without a reply, the requester gets [`Error::Interrupted`].
 pub struct Request {
     query: Query,
     me: Name,

@@ -79,6 +79,73 @@ async fn missing_service_error_lists_reachable_robots() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn request_whose_service_ends_may_have_been_carried_out() {
+    let (a, b) = pair("a", "b").await;
+    for ends in ["request", "service", "program"] {
+        let requests = a.requests(ends).await.expect("served");
+        let asking = tokio::spawn({
+            let b = b.clone();
+            async move {
+                asked(&b, "a", ends, 1.0).await.expect("discovered");
+                b.request::<Payload>("a", ends, "").await
+            }
+        });
+        let first = requests.next().await.expect("asked");
+        first.reply("").expect("replied");
+        drop(first);
+        let received = requests.next().await.expect("asked");
+        match ends {
+            "request" => drop(received),
+            "service" => {
+                drop(requests);
+                drop(received);
+            }
+            _ => a.close().await.expect("closed"),
+        }
+        let error = asking.await.expect("no panic").expect_err("no reply");
+        assert!(
+            matches!(error, Error::Interrupted { .. }),
+            "{ends}: {error}"
+        );
+        assert!(
+            error.to_string().contains("may have been carried out"),
+            "{error}"
+        );
+    }
+    // Zenoh reports the end of a service a moment later.
+    let deadline = Instant::now() + TIMEOUT;
+    loop {
+        match b.request::<Payload>("a", "program", "").await {
+            Err(Error::NoService { .. }) => break,
+            Err(Error::Interrupted { .. }) if Instant::now() < deadline => {}
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn request_that_nobody_has_received_is_not_interrupted_by_a_service_that_appears() {
+    let (a, b) = pair("a", "b").await;
+    for n in 0..20 {
+        let topic = format!("topic-{n}");
+        let asking = tokio::spawn({
+            let (b, topic) = (b.clone(), topic.clone());
+            async move {
+                // The service appears at some moment of one of these requests.
+                asked(&b, "a", &topic, 1.0).await
+            }
+        });
+        tokio::task::yield_now().await;
+        let _service = a
+            .serve(topic.as_str(), |_| async { Ok::<_, String>("done") })
+            .await
+            .expect("served");
+        let reply = asking.await.expect("no panic").expect("a reply");
+        assert_eq!(reply.payload.text().expect("text"), "done");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn request_carries_sender_and_deadline() {
     let (a, b) = pair("a", "b").await;
     let requests = a.requests("slow").await.expect("served");
