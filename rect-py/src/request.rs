@@ -1,6 +1,4 @@
 //! Exposes the requests of a program, the meaning of their replies, and the headers of the requests to its services.
-use std::sync::{Mutex, MutexGuard, PoisonError};
-
 use bytes::Bytes;
 use pyo3::{
     intern,
@@ -101,9 +99,13 @@ impl Inquiry {
 #[pyclass(frozen, module = "rect._rect")]
 pub struct Served(served::Served);
 
-/// The state of `Served` when a request was sent.
+/// The changes of `Served` until a request is sent.
 #[pyclass(frozen, module = "rect._rect")]
-pub struct Sent(Mutex<served::Sent>);
+pub struct Unsent(served::Unsent);
+
+/// The knowledge about a request that was sent.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct Sent(served::Sent);
 
 #[pymethods]
 impl Served {
@@ -117,35 +119,31 @@ impl Served {
         self.0.on_matching(is_served);
     }
 
-    /// Returns the state for a request that will be sent now.
-    fn sending(&self) -> Sent {
-        Sent(Mutex::new(self.0.sending()))
+    /// Returns the state before a request is sent.
+    fn unsent(&self) -> Unsent {
+        Unsent(self.0.unsent())
     }
 
-    /// Returns whether a request that ended without a reply may have been carried out. `at_once`: it had ended when Zenoh returned
-    /// from sending it.
-    fn is_interrupted(&self, sent: &Sent, at_once: bool) -> bool {
-        self.0.unanswered(*sent.core(), at_once) == Unanswered::Interrupted
+    /// Returns whether a request that ended without a reply may have been carried out.
+    fn is_interrupted(&self, sent: &Sent) -> bool {
+        self.0.unanswered(sent.0) == Unanswered::Interrupted
     }
 }
 
 #[pymethods]
-impl Sent {
-    /// Whether Zenoh is to be asked for the state of now, when it has taken the request.
-    #[getter]
-    fn must_ask(&self) -> bool {
-        self.core().must_ask()
-    }
-
-    /// Handles Zenoh's answer.
-    fn on_answer(&self, is_served: bool) {
-        self.core().on_answer(is_served);
-    }
-}
-
-impl Sent {
-    fn core(&self) -> MutexGuard<'_, served::Sent> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+impl Unsent {
+    /// Returns the state after Zenoh has taken the request. `at_once`: Zenoh has ended it on the thread that sends it. `ask` asks Zenoh
+    /// whether somebody serves the key now.
+    fn taken(&self, at_once: bool, ask: &Bound<'_, PyAny>) -> PyResult<Sent> {
+        let mut failed = None;
+        let sent = self.0.taken(at_once, || {
+            let answer = ask.call0().and_then(|answer| answer.extract());
+            answer.unwrap_or_else(|error| {
+                failed = Some(error);
+                true
+            })
+        });
+        failed.map_or(Ok(Sent(sent)), Err)
     }
 }
 

@@ -72,7 +72,7 @@ class Replies(Generic[T]):
         selector, arguments = get_arguments(*query)
         querier = session.querier(urgency, selector)
         self._served = querier.served
-        self._sent = self._served.sending()
+        unsent = self._served.unsent()
         try:
             with session.calls:
                 session.urgency_sessions.of(urgency).get(
@@ -84,10 +84,7 @@ class Replies(Generic[T]):
                 )
         except zenoh.ZError as error:
             raise zenoh_error("cannot send the request", error) from error
-        # As a request that matches nothing does.
-        self._ended_at_once = self._queue.queue.is_finished_here
-        if self._sent.must_ask and not self._ended_at_once:
-            self._sent.on_answer(querier.is_served())
+        self._sent = unsent.taken(self._queue.queue.is_finished_here, querier.is_served)
 
     def __iter__(self) -> Iterator[Reply[T]]:
         return self
@@ -116,7 +113,7 @@ class Replies(Generic[T]):
     def interrupted(self) -> Interrupted | None:
         """Returns the error if the request has ended without a reply, and may have been carried out by the robot."""
         robot, topic = self._asked
-        if robot is not None and self._served.is_interrupted(self._sent, self._ended_at_once):
+        if robot is not None and self._served.is_interrupted(self._sent):
             return Interrupted(robot, topic)
         return None
 

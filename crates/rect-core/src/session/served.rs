@@ -6,11 +6,16 @@ use std::sync::atomic::{AtomicU32, Ordering};
 #[derive(Debug, Default)]
 pub struct Served(AtomicU32);
 
-/// The state of [`Served`] when a request was sent.
+/// The changes of [`Served`] until a request is sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Unsent(u32);
+
+/// The knowledge about a request that was sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Sent {
     changes: u32,
-    has_appeared: bool,
+    /// Whether somebody may have received it; `None` if that depends on a service that Zenoh has not reported yet.
+    is_received: Option<bool>,
 }
 
 /// Why a request to one robot ended without a reply.
@@ -32,36 +37,36 @@ impl Served {
             .fetch_update(Ordering::Relaxed, Ordering::Relaxed, changed);
     }
 
-    /// Returns the state for a request that will be sent now.
-    pub fn sending(&self) -> Sent {
-        Sent {
-            changes: self.0.load(Ordering::Relaxed),
-            has_appeared: false,
-        }
+    /// Returns the state before a request is sent.
+    pub fn unsent(&self) -> Unsent {
+        Unsent(self.0.load(Ordering::Relaxed))
     }
 
-    /// Returns why a request ended without a reply. `at_once`: Zenoh ended it on the thread that has sent it, as it does with a request
-    /// that matches nothing.
-    pub fn unanswered(&self, sent: Sent, at_once: bool) -> Unanswered {
-        let has_changed = self.0.load(Ordering::Relaxed) != sent.changes;
-        let has_appeared = !at_once && (has_changed || sent.has_appeared);
-        match is_odd(sent.changes) || has_appeared {
+    /// Returns why a request ended without a reply.
+    pub fn unanswered(&self, sent: Sent) -> Unanswered {
+        let has_appeared = || self.0.load(Ordering::Relaxed) != sent.changes;
+        match sent.is_received.unwrap_or_else(has_appeared) {
             true => Unanswered::Interrupted,
             false => Unanswered::NoService,
         }
     }
 }
 
-impl Sent {
-    /// Returns whether Zenoh is to be asked for the state of now, when it has taken the request: a service may have appeared that it
-    /// has not reported.
-    pub fn must_ask(&self) -> bool {
-        !is_odd(self.changes)
-    }
-
-    /// Handles Zenoh's answer.
-    pub fn on_answer(&mut self, is_served: bool) {
-        self.has_appeared = is_served;
+impl Unsent {
+    /// Returns the state after Zenoh has taken the request. `at_once`: Zenoh has ended it on the thread that sends it, as it does with
+    /// a request that matches nothing. `ask` asks Zenoh whether somebody serves the key now: a service may have appeared that it has not
+    /// reported.
+    pub fn taken(self, at_once: bool, ask: impl FnOnce() -> bool) -> Sent {
+        let Self(changes) = self;
+        let is_received = match (is_odd(changes), at_once) {
+            (false, true) => Some(false),
+            (false, false) => ask().then_some(true),
+            (true, _) => Some(true),
+        };
+        Sent {
+            changes,
+            is_received,
+        }
     }
 }
 
@@ -74,47 +79,46 @@ fn is_odd(changes: u32) -> bool {
 mod tests {
     use super::*;
 
-    fn sent(served: &Served, is_served: bool) -> Sent {
-        let mut sent = served.sending();
-        sent.on_answer(is_served);
-        sent
+    fn sent(served: &Served, at_once: bool, is_served: bool) -> Sent {
+        served.unsent().taken(at_once, || is_served)
     }
 
     #[test]
     fn request_that_nobody_received_was_not_carried_out() {
         let served = Served::default();
         served.on_matching(false);
-        let first = sent(&served, false);
-        assert_eq!(served.unanswered(first, false), Unanswered::NoService);
+        let first = sent(&served, false, false);
+        assert_eq!(served.unanswered(first), Unanswered::NoService);
         // It has reached nobody, although a service appeared a moment later.
+        let at_once = sent(&served, true, true);
         served.on_matching(true);
-        assert_eq!(served.unanswered(first, true), Unanswered::NoService);
+        assert_eq!(served.unanswered(at_once), Unanswered::NoService);
     }
 
     #[test]
     fn request_to_a_service_that_was_known_may_have_been_carried_out_however_fast_it_ended() {
         let served = Served::default();
         served.on_matching(true);
-        let known = sent(&served, true);
+        let known = sent(&served, true, true);
         served.on_matching(false);
-        assert_eq!(served.unanswered(known, true), Unanswered::Interrupted);
+        assert_eq!(served.unanswered(known), Unanswered::Interrupted);
     }
 
     #[test]
     fn request_that_may_have_been_received_may_have_been_carried_out() {
         let served = Served::default();
         // Zenoh has not reported the service yet, and never does, as it has ended before.
-        let before = sent(&served, true);
-        assert_eq!(served.unanswered(before, false), Unanswered::Interrupted);
-        let first = sent(&served, false);
+        let before = sent(&served, false, true);
+        assert_eq!(served.unanswered(before), Unanswered::Interrupted);
+        let first = sent(&served, false, false);
         served.on_matching(true);
-        let second = sent(&served, false);
+        let second = sent(&served, false, false);
         served.on_matching(true);
         served.on_matching(false);
         for sent in [first, second] {
-            assert_eq!(served.unanswered(sent, false), Unanswered::Interrupted);
+            assert_eq!(served.unanswered(sent), Unanswered::Interrupted);
         }
-        let last = sent(&served, false);
-        assert_eq!(served.unanswered(last, false), Unanswered::NoService);
+        let last = sent(&served, false, false);
+        assert_eq!(served.unanswered(last), Unanswered::NoService);
     }
 }

@@ -58,10 +58,7 @@ struct Arriving {
     decoder: Arc<Decoder>,
     state: Mutex<State>,
     querier: Arc<Querier>,
-    /// Whether the topic was served when the request was sent.
     sent: Sent,
-    /// Whether Zenoh had ended the request when it returned from sending it.
-    ended_at_once: bool,
 }
 
 struct State {
@@ -167,7 +164,7 @@ impl Robot {
         let writer = QueueWriter::new(&queue);
         let session = self.inner.urgency_sessions.of(self.urgency()).await;
         let querier = self.querier(session, &get.selector)?;
-        let mut sent = querier.served.sending();
+        let unsent = querier.served.unsent();
         let asked = queries::builder(session, get)
             .cancellation_token(cancellation.clone())
             .callback(move |reply| {
@@ -176,11 +173,7 @@ impl Robot {
         asked
             .await
             .map_err(Error::zenoh("cannot send the request"))?;
-        // As a request that matches nothing does.
-        let ended_at_once = queue.is_finished_here();
-        if sent.must_ask() && !ended_at_once {
-            sent.on_answer(querier.is_served());
-        }
+        let sent = unsent.taken(queue.is_finished_here(), || querier.is_served());
         let state = State {
             inquiry,
             undecoded: Vec::new(),
@@ -192,7 +185,6 @@ impl Robot {
                 state: Mutex::new(state),
                 querier,
                 sent,
-                ended_at_once,
             }),
             next: NextItem::default(),
             cancellation,
@@ -285,9 +277,7 @@ impl Arriving {
 
     /// Returns why the request ended without a reply.
     fn unanswered(&self) -> Unanswered {
-        self.querier
-            .served
-            .unanswered(self.sent, self.ended_at_once)
+        self.querier.served.unanswered(self.sent)
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
