@@ -71,7 +71,8 @@ def test_pairs_once_and_reconnects_encrypted_after_a_restart(robots):
 
 @pytest.mark.parametrize("has_secret", [True, False])
 def test_monitor_shows_nothing_of_a_link_with_a_secret(robots, tmp_path, has_secret):
-    """btmon records everything between the kernel and the controllers. Without a secret, the search finds the texts."""
+    """btmon records everything between the kernel and the controllers. Without a secret, the search finds most of the
+    fifty texts: one whose bytes are in two packets is not found."""
     secret = tmp_path / "secret"
     secret.write_text("fleet:what only the team knows\n")
     options = f";secret={secret}" if has_secret else ""
@@ -88,8 +89,10 @@ def test_monitor_shows_nothing_of_a_link_with_a_secret(robots, tmp_path, has_sec
     finally:
         monitor.terminate()
         monitor.wait()
-    found = [text for text in (b"rect/both/ways", b"message 49") if text in recorded.read_bytes()]
-    assert found == ([] if has_secret else [b"rect/both/ways", b"message 49"])
+    record = recorded.read_bytes()
+    assert (b"both/ways" in record) == (not has_secret)
+    found = {text for n in range(50) if (text := b"message %d" % n) in record}
+    assert not found if has_secret else len(found) > 25, sorted(found)
 
 
 def keys() -> dict[str, list[str]]:
