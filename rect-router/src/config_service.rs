@@ -14,9 +14,12 @@ use std::{
 use rect_core::registry::named_connection::{ADD, CONFIG, REMOVE};
 use serde::Serialize;
 use serde_json::Value;
-use zenoh::{bytes::Encoding, query::Query, Session, Wait};
+use zenoh::{query::Query, Session, Wait};
 
-use crate::connections::{Changes, Connections, Edit};
+use crate::{
+    connections::{Changes, Connections, Edit},
+    reply::reply,
+};
 
 /// The reply to a query that reads the file.
 #[derive(Serialize)]
@@ -53,10 +56,11 @@ pub fn serve(session: &Session, own: &str, connections: Arc<Connections>) -> zen
                 answer(query, &key_of_answer, &connections);
             }
         })?;
+    let busy_key = key.clone();
     let on_query = move |query: Query| {
         if let Err(TrySendError::Full(query)) = queries.try_send(query) {
             let busy = "too many queries are waiting to change the connections; try again";
-            log_failure(query.reply_err(busy).encoding(Encoding::TEXT_PLAIN).wait());
+            reply::<Value>(&query, &busy_key, Err(busy.to_owned()));
         }
     };
     let queryable = session.declare_queryable(key).callback(on_query);
@@ -67,13 +71,7 @@ pub fn serve(session: &Session, own: &str, connections: Arc<Connections>) -> zen
 fn answer(query: Query, key: &str, connections: &Connections) {
     // Takes the query by value: dropping it tells Zenoh that no further reply follows.
     let reply = |query: Query, result: Result<Value, String>| {
-        log_failure(match result {
-            Ok(json) => query
-                .reply(key, json.to_string())
-                .encoding(Encoding::APPLICATION_JSON)
-                .wait(),
-            Err(error) => query.reply_err(error).encoding(Encoding::TEXT_PLAIN).wait(),
-        });
+        self::reply(&query, key, result);
     };
     let ConfigRequest { edit, expected, by } = match ConfigRequest::parse(&query) {
         Ok(request) => request,
@@ -92,12 +90,6 @@ fn answer(query: Query, key: &str, connections: &Connections) {
     });
     if let (Err(error), Some(query)) = (done, unanswered) {
         reply(query, Err(error.to_string()));
-    }
-}
-
-fn log_failure(replied: zenoh::Result<()>) {
-    if let Err(error) = replied {
-        tracing::debug!("cannot send a reply of the config service: {error}");
     }
 }
 

@@ -14,6 +14,7 @@ pub mod memory;
 mod paths;
 pub mod privileges;
 pub mod registry;
+mod reply;
 pub mod robot_services;
 pub mod router;
 mod self_check;

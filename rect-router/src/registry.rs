@@ -25,7 +25,7 @@ use rect_core::{
     text::humanize,
 };
 use serde::Serialize;
-use zenoh::{bytes::Encoding, query::Query, session::Link, Session, Wait};
+use zenoh::{query::Query, session::Link, Session, Wait};
 use zenoh_link_any::{locator::has_radio, observers};
 use zenoh_link_ble::{status::DiscoveredStatus, BLE_LOCATOR_PREFIX as BLE};
 use zenoh_link_ble_bluez::management;
@@ -43,7 +43,9 @@ use self::{
 use crate::{
     config::Settings,
     connections::{self, Connections, FleetConnector, LinkEnds, Snapshot},
-    doctor, version,
+    doctor,
+    reply::reply,
+    version,
 };
 
 /// A running registry. It answers queries until its session is closed, and publishes changes until it is dropped.
@@ -165,21 +167,12 @@ impl Sources {
         let (sources, key) = (Arc::clone(self), format!("{own}/{name}"));
         let key_of_answer = key.clone();
         let on_query = move |query: Query| {
-            let made = Selector::parse(query.parameters().iter()).and_then(|selector| {
+            let made = Selector::parse(query.parameters().iter()).map(|selector| {
                 let mut connections = sources.connections(&Sockets::open());
                 connections.retain(|connection| selector.matches(connection));
-                serde_json::to_vec(&make(connections, &selector)).map_err(|e| e.to_string())
+                make(connections, &selector)
             });
-            let replied = match made {
-                Ok(json) => query
-                    .reply(&key_of_answer, json)
-                    .encoding(Encoding::APPLICATION_JSON)
-                    .wait(),
-                Err(error) => query.reply_err(error).encoding(Encoding::TEXT_PLAIN).wait(),
-            };
-            if let Err(error) = replied {
-                tracing::debug!("cannot send a reply of the registry: {error}");
-            }
+            reply(&query, &key_of_answer, made);
         };
         let queryable = self.session.declare_queryable(key).callback(on_query);
         queryable.background().wait()

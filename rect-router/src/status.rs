@@ -2,10 +2,10 @@
 //! process and its Bluetooth links, and `@/<zid>/router/any` with an array of the links over several paths. Zenoh's access control
 //! decides who may read them, as for the rest of `@/**`.
 use serde::Serialize;
-use zenoh::{bytes::Encoding, query::Query, Session, Wait};
+use zenoh::{Session, Wait};
 use zenoh_link_ble::status::nodes;
 
-use crate::paths;
+use crate::{paths, reply::reply};
 
 /// Declares the queryables, which answer until the session is closed.
 ///
@@ -30,19 +30,6 @@ fn serve_document<T: Serialize>(
     let key_of_answer = key.clone();
     let queryable = session
         .declare_queryable(key)
-        .callback(move |query| answer(&query, &key_of_answer, &document()));
+        .callback(move |query| reply(&query, &key_of_answer, Ok(document())));
     queryable.background().wait()
-}
-
-fn answer(query: &Query, key: &str, document: &impl Serialize) {
-    let replied = match serde_json::to_vec(document) {
-        Ok(status) => query
-            .reply(key, status)
-            .encoding(Encoding::APPLICATION_JSON)
-            .wait(),
-        Err(error) => query.reply_err(error.to_string()).wait(),
-    };
-    if let Err(error) = replied {
-        tracing::debug!("cannot send a reply about the links: {error}");
-    }
 }

@@ -20,7 +20,9 @@ use rect_core::{
     message::attachment::Attachment,
     registry::topics::{Counter, Topics, KEEP, KEPT, MAX_KEPT, TOPIC, TOPICS},
 };
-use zenoh::{bytes::Encoding, pubsub::Subscriber, query::Query, sample::Sample, Session, Wait};
+use zenoh::{pubsub::Subscriber, query::Query, sample::Sample, Session, Wait};
+
+use crate::reply::reply;
 
 /// Maximum number of queries that wait for the one in progress; further queries are answered with an error.
 const MAX_WAITING_QUERIES: usize = 16;
@@ -43,10 +45,11 @@ pub fn serve(session: &Session, own: &str) -> zenoh::Result<()> {
     thread::Builder::new()
         .name("topics".to_owned())
         .spawn(move || service.run(&next))?;
+    let busy_key = key.clone();
     let on_query = move |query: Query| {
         if let Err(TrySendError::Full(query)) = queries.try_send(query) {
             let busy = "too many queries about topics are waiting; try again";
-            log_failure(query.reply_err(busy).encoding(Encoding::TEXT_PLAIN).wait());
+            reply::<Topics>(&query, &busy_key, Err(busy.to_owned()));
         }
     };
     let queryable = session.declare_queryable(key).callback(on_query);
@@ -87,16 +90,9 @@ impl TopicService {
     fn answer(&mut self, query: &Query) {
         let made = TopicQuery::parse(query).and_then(|question| {
             let topics = self.count(&question);
-            let topics = topics.map_err(|error| error.to_string())?;
-            serde_json::to_vec(&topics).map_err(|error| error.to_string())
+            topics.map_err(|error| error.to_string())
         });
-        log_failure(match made {
-            Ok(json) => query
-                .reply(&self.key, json)
-                .encoding(Encoding::APPLICATION_JSON)
-                .wait(),
-            Err(error) => query.reply_err(error).encoding(Encoding::TEXT_PLAIN).wait(),
-        });
+        reply(query, &self.key, made);
     }
 
     /// Starts counting messages, or prolongs the count, and returns what was counted until now.
@@ -137,12 +133,6 @@ impl TopicService {
             until: now,
             _subscriber: subscriber,
         })
-    }
-}
-
-fn log_failure(replied: zenoh::Result<()>) {
-    if let Err(error) = replied {
-        tracing::debug!("cannot send a reply about topics: {error}");
     }
 }
 
