@@ -47,7 +47,7 @@ int main(int argc, char **argv) {
     const rect_payload nothing = rect_payload_text("");
 
     check(rect_connect(argc > 1 ? argv[1] : "wombat-1", NULL, &robot, &error));
-    check(rect_robot_serve(robot, "pose", answer, NULL, NULL, &service, &error));
+    check(rect_robot_serve(robot, "pose", NULL, answer, NULL, NULL, &service, &error));
     check(rect_robot_publisher(robot, "battery", &publisher, &error));
     check(rect_robot_subscribe(robot, "*/battery", NULL, &batteries, &error));
     check(rect_publisher_wait_for_subscriber(publisher, 60000, &error));

@@ -20,6 +20,7 @@ targets! {
     advertisement,
     any,
     attachment,
+    catalogue,
     codec,
     connections,
     feedback,

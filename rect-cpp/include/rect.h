@@ -96,6 +96,8 @@ typedef enum rect_code {
     // A service may have received the request, and no reply follows: its program, a router or the link ended. It may have been
     // carried out; ask the robot before you repeat a request that must not be carried out twice.
     RECT_CODE_INTERRUPTED = 25,
+    // Another program of the robot serves the topic already. The text names it.
+    RECT_CODE_SERVICE_REFUSED = 26,
 } rect_code;
 
 // The state of a connection.
@@ -124,6 +126,10 @@ typedef enum rect_event_kind {
     RECT_EVENT_KIND_ROUTER_DOWN = 5,
     // Another path carries the bulk of a link whose method is `any`.
     RECT_EVENT_KIND_PATH_SWITCHED = 6,
+    // A program that has a name is known at a robot.
+    RECT_EVENT_KIND_PROGRAM_UP = 7,
+    // A program has ended, or its robot became unreachable.
+    RECT_EVENT_KIND_PROGRAM_DOWN = 8,
 } rect_event_kind;
 
 // The urgency of messages. In every queue and on a Bluetooth link, messages overtake less urgent ones.
@@ -377,6 +383,8 @@ typedef struct rect_event {
     struct rect_text path;
     // Why the path has changed: `ended`, `silent` or `faster`; empty unless it has.
     struct rect_text reason;
+    // The name of the program; empty if the event does not concern one.
+    struct rect_text program;
 } rect_event;
 
 // A callback for events. The event is valid until the callback returns.
@@ -509,6 +517,9 @@ typedef struct rect_options {
     // Whether to connect even if the router belongs to another robot, for programs that deliberately use another name. The
     // access control that `rect init` sets up drops everything that such a program publishes.
     bool allow_name_mismatch;
+    // The name under which this program is known in the fleet. Default: that of the executable. An empty text leaves the program
+    // without a name.
+    const char *program;
 } rect_options;
 
 // A message from another robot, or from another program of the same robot.
@@ -579,6 +590,15 @@ typedef struct rect_counters {
     // Number of messages and requests whose value does not fit the type that the program states.
     uint64_t problems;
 } rect_counters;
+
+// The description of a service, and whether it may have company.
+typedef struct rect_service_options {
+    // The purpose of the service, for `rect service list` and the dashboard: at most 200 characters. NULL: nothing.
+    const char *about;
+    // Whether other programs of the robot may serve the same topic, which then have to allow it, too. Each of them answers every
+    // request.
+    bool allow_several;
+} rect_service_options;
 
 // A request, which is valid until the callback returns. Before that, the program replies with `rect_request_reply` or
 // `rect_request_refuse`, on any thread. A request without a reply is refused.
@@ -925,7 +945,7 @@ enum rect_code rect_dictionary_id(struct rect_dictionary dictionary,
 
 // Calls `callback` for each event, until the subscription is dropped.
 //
-// The events are: robots that become reachable or unreachable, links of this robot's router (or of this program, if it has
+// The events are: robots that become reachable or unreachable, programs that begin or end, links of this robot's router (or of this program, if it has
 // no router) with their method and the path that carries their bulk, and the router itself. The first calls report the robots that are already reachable and the
 // links that the router already has. The calls are made one after another, on a thread of the subscription.
 //
@@ -1289,15 +1309,19 @@ enum rect_code rect_robot_close(struct rect_robot robot,
 //     rect_request_reply(request->id, &volt, NULL);
 // }
 //
-// rect_robot_serve(robot, "battery", on_battery, NULL, NULL, &service, &error);
+// rect_robot_serve(robot, "battery", NULL, on_battery, NULL, NULL, &service, &error);
 // ```
 //
 // `release` is called once with `context` when no more calls will follow, even if this function fails.
 //
-// Returns `RECT_CODE_TOPIC` if the topic is invalid. May be called on any thread. The callback may be called on several
+// `options` may be NULL: the defaults.
+//
+// Returns `RECT_CODE_TOPIC` if the topic is invalid, and `RECT_CODE_SERVICE_REFUSED` if a program of this robot serves it already.
+// May be called on any thread. The callback may be called on several
 // threads at once; it may call any function of RECT and may drop its own service.
 enum rect_code rect_robot_serve(struct rect_robot robot,
                                 const char *topic,
+                                const struct rect_service_options *options,
                                 rect_on_request callback,
                                 void *context,
                                 rect_release release,

@@ -31,6 +31,10 @@ pub enum EventKind {
     RouterDown = 5,
     /// Another path carries the bulk of a link whose method is `any`.
     PathSwitched = 6,
+    /// A program that has a name is known at a robot.
+    ProgramUp = 7,
+    /// A program has ended, or its robot became unreachable.
+    ProgramDown = 8,
 }
 
 /// A change of a robot, a link or the router. It is valid until the callback returns.
@@ -48,6 +52,8 @@ pub struct Event {
     pub path: Text,
     /// Why the path has changed: `ended`, `silent` or `faster`; empty unless it has.
     pub reason: Text,
+    /// The name of the program; empty if the event does not concern one.
+    pub program: Text,
 }
 
 /// A callback for events. The event is valid until the callback returns.
@@ -73,10 +79,21 @@ fn view(event: &rect::Event) -> Event {
         address: Text::of_some(link.map(|link| link.address.as_str())),
         path: Text::of(""),
         reason: Text::of(""),
+        program: Text::of(""),
+    };
+    let of_program = |kind, robot: &Name, program: &Name| Event {
+        program: Text::of(program.as_str()),
+        ..of(kind, Some(robot), None)
     };
     match event {
         rect::Event::PeerUp { robot } => of(EventKind::PeerUp, Some(robot), None),
         rect::Event::PeerDown { robot } => of(EventKind::PeerDown, Some(robot), None),
+        rect::Event::ProgramUp { robot, program } => {
+            of_program(EventKind::ProgramUp, robot, program)
+        }
+        rect::Event::ProgramDown { robot, program } => {
+            of_program(EventKind::ProgramDown, robot, program)
+        }
         rect::Event::LinkUp(link) => of(EventKind::LinkUp, link.robot.as_ref(), Some(link)),
         rect::Event::LinkDown(link) => of(EventKind::LinkDown, link.robot.as_ref(), Some(link)),
         rect::Event::PathSwitched { link, path, reason } => Event {
@@ -91,7 +108,7 @@ fn view(event: &rect::Event) -> Event {
 
 /// Calls `callback` for each event, until the subscription is dropped.
 ///
-/// The events are: robots that become reachable or unreachable, links of this robot's router (or of this program, if it has
+/// The events are: robots that become reachable or unreachable, programs that begin or end, links of this robot's router (or of this program, if it has
 /// no router) with their method and the path that carries their bulk, and the router itself. The first calls report the robots that are already reachable and the
 /// links that the router already has. The calls are made one after another, on a thread of the subscription.
 ///

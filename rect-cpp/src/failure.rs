@@ -66,6 +66,8 @@ pub enum Code {
     /// A service may have received the request, and no reply follows: its program, a router or the link ended. It may have been
     /// carried out; ask the robot before you repeat a request that must not be carried out twice.
     Interrupted = 25,
+    /// Another program of the robot serves the topic already. The text names it.
+    ServiceRefused = 26,
 }
 
 /// The reason why a call failed.
@@ -147,6 +149,7 @@ fn code(error: &Error) -> Code {
         Error::WrongRobot(_) => Code::WrongRobot,
         Error::Option { .. } => Code::Option,
         Error::NoService { .. } => Code::NoService,
+        Error::ServiceRefused { .. } => Code::ServiceRefused,
         Error::Interrupted { .. } => Code::Interrupted,
         Error::TimedOut { .. } => Code::TimedOut,
         Error::Service { .. } => Code::Service,

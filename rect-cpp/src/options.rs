@@ -47,6 +47,9 @@ pub struct Options {
     /// Whether to connect even if the router belongs to another robot, for programs that deliberately use another name. The
     /// access control that `rect init` sets up drops everything that such a program publishes.
     pub allow_name_mismatch: bool,
+    /// The name under which this program is known in the fleet. Default: that of the executable. An empty text leaves the program
+    /// without a name.
+    pub program: *const c_char,
 }
 
 /// Converts the options for the library.
@@ -85,6 +88,12 @@ unsafe fn apply(mut options: rect::Options, given: &Options) -> Result<rect::Opt
         }
         if let Some(file) = text_or_none("options.login_file", given.login_file)? {
             options = options.login_file(file);
+        }
+        if let Some(program) = text_or_none("options.program", given.program)? {
+            options = match program {
+                "" => options.without_program_name(),
+                program => options.program(program)?,
+            };
         }
         if given.allow_name_mismatch {
             options = options.allow_name_mismatch();

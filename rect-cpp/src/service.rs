@@ -8,7 +8,7 @@ use std::{
 use rect::{Encoding, Name, Payload};
 
 use crate::{
-    argument::{require, text},
+    argument::{require, text, text_or_none},
     boundary::{call, require_out, write_out, ErrorOut},
     callback::{Callback, Release},
     failure::{Code, Failure},
@@ -26,6 +26,16 @@ use crate::{
 pub struct Service {
     /// The handle.
     pub id: u64,
+}
+
+/// The description of a service, and whether it may have company.
+#[repr(C)]
+pub struct ServiceOptions {
+    /// The purpose of the service, for `rect service list` and the dashboard: at most 200 characters. NULL: nothing.
+    pub about: *const c_char,
+    /// Whether other programs of the robot may serve the same topic, which then have to allow it, too. Each of them answers every
+    /// request.
+    pub allow_several: bool,
 }
 
 /// A request, which is valid until the callback returns. Before that, the program replies with `rect_request_reply` or
@@ -123,11 +133,12 @@ fn run_callback(
 fn serve(
     program: &Program,
     topic: &str,
+    options: rect::ServiceOptions,
     function: extern "C" fn(*const Request, *mut c_void),
     callback: Arc<Callback>,
 ) -> Result<Service, Failure> {
     let wrapper = callback.clone();
-    let service = program.robot.serve(topic, move |request| {
+    let service = program.robot.serve_with(topic, options, move |request| {
         let callback = wrapper.clone();
         async move {
             let work = move || run_callback(&request, &callback, function);
@@ -149,17 +160,21 @@ fn serve(
 ///     rect_request_reply(request->id, &volt, NULL);
 /// }
 ///
-/// rect_robot_serve(robot, "battery", on_battery, NULL, NULL, &service, &error);
+/// rect_robot_serve(robot, "battery", NULL, on_battery, NULL, NULL, &service, &error);
 /// ```
 ///
 /// `release` is called once with `context` when no more calls will follow, even if this function fails.
 ///
-/// Returns `RECT_CODE_TOPIC` if the topic is invalid. May be called on any thread. The callback may be called on several
+/// `options` may be NULL: the defaults.
+///
+/// Returns `RECT_CODE_TOPIC` if the topic is invalid, and `RECT_CODE_SERVICE_REFUSED` if a program of this robot serves it already.
+/// May be called on any thread. The callback may be called on several
 /// threads at once; it may call any function of RECT and may drop its own service.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_serve(
     robot: RobotHandle,
     topic: *const c_char,
+    options: Option<&ServiceOptions>,
     callback: OnRequest,
     context: *mut c_void,
     release: Release,
@@ -171,8 +186,15 @@ pub unsafe extern "C" fn rect_robot_serve(
         require_out("service", &service)?;
         // SAFETY: the caller follows the rules of rect.h.
         let topic = unsafe { text("topic", topic) }?;
+        let mut described = rect::ServiceOptions::default();
+        if let Some(options) = options {
+            // SAFETY: the caller follows the rules of rect.h.
+            let about = unsafe { text_or_none("options.about", options.about) }?;
+            described.about = about.unwrap_or_default().to_owned();
+            described.allow_several = options.allow_several;
+        }
         let callback = require("callback", callback)?;
-        let running = serve(&*robot.resolve()?, topic, callback, wrapper)?;
+        let running = serve(&*robot.resolve()?, topic, described, callback, wrapper)?;
         write_out("service", service, running)
     })
 }

@@ -137,7 +137,7 @@ static void services(rect_robot one, rect_robot two) {
     rect_reply reply;
     rect_code code;
     const rect_payload query = rect_payload_json("{\"cell\":1}");
-    must(rect_robot_serve(two, "battery", on_request, NULL, NULL, &service, &error), "serve");
+    must(rect_robot_serve(two, "battery", NULL, on_request, NULL, NULL, &service, &error), "serve");
     do {
         code = rect_robot_request(one, "wombat-2", "battery", &query, TIMEOUT_MS, &reply, &error);
     } while (code == RECT_CODE_NO_SERVICE);

@@ -44,7 +44,7 @@ TEST_CASE("NULL is rejected with an error that names the argument") {
     CHECK_THAT(argument_error(rect_robot_on_message(alone(), "*/n", nullptr, nullptr, nullptr, nullptr, &subscription, &error), error),
                ContainsSubstring("callback is NULL"));
     rect_service service;
-    CHECK_THAT(argument_error(rect_robot_serve(alone(), "s", nullptr, nullptr, nullptr, &service, &error), error),
+    CHECK_THAT(argument_error(rect_robot_serve(alone(), "s", nullptr, nullptr, nullptr, nullptr, &service, &error), error),
                ContainsSubstring("callback is NULL"));
     CHECK_THAT(argument_error(rect_robot_counters(alone(), nullptr, &error), error), ContainsSubstring("counters is NULL"));
     CHECK_THAT(argument_error(rect_robot_add_connection(alone(), nullptr, nullptr, &error), error),

@@ -142,3 +142,16 @@ TEST_CASE("a service can send requests and end itself") {
     });
     CHECK(outer.handle_id() == 0);
 }
+
+TEST_CASE("a second service of a topic is refused, unless both allow it") {
+    Pair pair;
+    const auto answer = [](const rect::Request&) { return "done"; };
+    const auto first = must(pair.two.serve("grab", answer, {"closes the gripper"}));
+    const auto refused = pair.two.serve("grab", answer);
+    REQUIRE_FALSE(refused.has_value());
+    CHECK(refused.error().code == rect::Code::service_refused);
+    const auto catalogue = must(pair.two.query_registry("catalogue"));
+    CHECK_THAT(catalogue, ContainsSubstring("closes the gripper"));
+    const auto look = must(pair.two.serve("look", answer, {"", true}));
+    CHECK(pair.two.serve("look", answer, {"", true}).has_value());
+}

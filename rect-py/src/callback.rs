@@ -2,8 +2,8 @@
 //! request to a queue without running Python code.
 use std::time::Instant;
 
-use pyo3::{intern, prelude::*};
-use rect_core::message::Undelivered;
+use pyo3::{intern, prelude::*, types::PyBytes};
+use rect_core::{catalogue::Instance, message::Undelivered, session::service::ServiceQuery};
 
 use crate::{
     connection::Links, counters::AtomicCounters, driver::bytes_of, message::Inbound, queue::Queue,
@@ -25,6 +25,8 @@ pub struct OnMessage {
 pub struct OnRequest {
     queue: Py<Queue>,
     on_refused: Py<PyAny>,
+    /// The run of the program, and the function to call when another program serves the topic. `None` for a queryable of another kind.
+    service: Option<(Instance, Py<PyAny>)>,
 }
 
 /// A point in time.
@@ -91,13 +93,39 @@ impl OnMessage {
 
 #[pymethods]
 impl OnRequest {
-    /// Creates the callback. `on_refused` is called with a query that arrives while the queue is full.
+    /// Creates the callback. `on_refused` is called with a query that arrives while the queue is full. `service` is the run of the
+    /// program, and a function that is called when another program serves the topic.
     #[new]
-    fn new(queue: Py<Queue>, on_refused: Py<PyAny>) -> Self {
-        Self { queue, on_refused }
+    #[pyo3(signature = (queue, on_refused, service=None))]
+    fn new(queue: Py<Queue>, on_refused: Py<PyAny>, service: Option<(u32, Py<PyAny>)>) -> Self {
+        let service = service.map(|(instance, on_taken_over)| (Instance(instance), on_taken_over));
+        Self {
+            queue,
+            on_refused,
+            service,
+        }
     }
 
     fn __call__(&self, py: Python<'_>, query: Py<PyAny>) -> PyResult<()> {
+        if let Some((instance, on_taken_over)) = &self.service {
+            let parameters = query.getattr(py, intern!(py, "parameters"))?;
+            let meaning = ServiceQuery::of(&parameters.bind(py).str()?.to_cow()?, *instance);
+            match meaning {
+                ServiceQuery::Request => {}
+                ServiceQuery::Ping => {
+                    let key = query.getattr(py, intern!(py, "key_expr"))?;
+                    query.call_method1(py, intern!(py, "reply"), (key, PyBytes::new(py, b"")))?;
+                }
+                ServiceQuery::TakenOver => {
+                    on_taken_over.call0(py)?;
+                }
+                ServiceQuery::OfAnother => {}
+            }
+            if meaning != ServiceQuery::Request {
+                query.call_method0(py, intern!(py, "drop"))?;
+                return Ok(());
+            }
+        }
         let item = (query.clone_ref(py), Timestamp(Instant::now())).into_pyobject(py)?;
         if !self.queue.get().push(py, item.into_any().unbind())? {
             self.on_refused.call1(py, (query,))?;

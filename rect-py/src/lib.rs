@@ -15,6 +15,7 @@ mod errors;
 mod key_space;
 mod message;
 mod picture;
+mod program;
 mod publication;
 mod queue;
 mod recording;
@@ -50,6 +51,7 @@ mod _rect {
         key_space::{check_encoding, check_name, check_topic, encoding_parts, pattern, KeySpace},
         message::{Inbound, MessageMetadata},
         picture::{array_encoding, picture, picture_encoding, read_array, read_picture, scaled},
+        program::{program_name, read_catalogue, Catalogues, OfferedService, ProgramPresence},
         publication::Numbering,
         queue::{Ended, Queue},
         recording::{Recorder, RecordingReader},

@@ -46,6 +46,7 @@ type EventFields = (
     Option<String>,
     Option<String>,
     Option<String>,
+    Option<String>,
 );
 
 /// The replies to a query for the recording, and an error that follows them.
@@ -115,7 +116,7 @@ impl Recorder {
     /// Records an event that a program of `robot` has received.
     fn add_event(&self, robot: &str, event: EventFields) -> PyResult<()> {
         let robot = Name::new(robot).or_raise()?;
-        let (kind, peer, method, address, path, reason) = &event;
+        let (kind, peer, method, address, path, reason, program) = &event;
         if let Some(recorder) = self.recorder() {
             let event = EventReport {
                 kind,
@@ -124,6 +125,7 @@ impl Recorder {
                 address: address.as_deref(),
                 path: path.as_deref(),
                 reason: reason.as_deref(),
+                program: program.as_deref(),
             };
             recorder.on_event(&robot, event);
         }

@@ -36,8 +36,8 @@ class Routers:
         self.robots = {"wombat-1": one, "wombat-2": two}
         self.endpoints = {"wombat-1": one.endpoint(), "wombat-2": two.endpoint()}
 
-    def connect(self, name: str) -> rect.Robot:
-        return rect.connect(name, router=self.endpoints[name])
+    def connect(self, name: str, program: str | None = "") -> rect.Robot:
+        return rect.connect(name, router=self.endpoints[name], program=program)
 
     @contextmanager
     def tool(self, robot: str, *arguments: str) -> Iterator[Tool]:

@@ -81,7 +81,7 @@ class Subject:
         return _rect.registry_change(self._place, of["robot"], of["action"], of["argument"])
 
     def _observer(self, of: dict[str, Any]) -> _rect.Driver:
-        return _rect.observer(self._place, of["is_direct"])
+        return _rect.observer(self._place, 0, of["is_direct"])
 
     def _router_observer(self, _: dict[str, Any]) -> _rect.Driver:
         return _rect.router_observer(self._place)

@@ -2,6 +2,7 @@
 //! `rect-router` (`main.rs`) and the plugin for a stock zenohd (`plugin/`).
 
 pub mod args;
+mod catalogue;
 pub mod commands;
 pub mod config;
 mod config_service;

@@ -1,12 +1,16 @@
 //! Starts and stops what RECT adds to the router of a robot: its named connections, the registry that reports them, the
-//! config service that changes them, and the answers about the topics of its programs.
+//! config service that changes them, the catalogue of its programs, and the answers about their topics.
 use std::sync::Arc;
 
 use rect_connections::{AutoConnect, MAX_AUTO_LINKS};
-use rect_core::text::humanize;
+use rect_core::{
+    name::{key::KeySpace, Name},
+    text::humanize,
+};
 use zenoh::{Config, Session, Wait};
 
 use crate::{
+    catalogue,
     config::{self, Settings},
     config_service,
     connections::{Connections, FileWatch, FleetConnector},
@@ -111,6 +115,7 @@ impl RobotServices {
         let (own, settings) = (&self.own, &self.settings);
         let keys = format!("{}/{}", settings.fleet, settings.robot);
         topics::serve(session, &keys)?;
+        catalogue::serve(session, &place(settings)?)?;
         let (connections, fleet) = (self.connections.clone(), Arc::clone(&self.fleet));
         let registry = Registry::serve(session, host, own, settings, self.connections, self.fleet)?;
         Ok(RunningServices {
@@ -120,6 +125,14 @@ impl RobotServices {
             _registry: registry,
         })
     }
+}
+
+/// Returns the keys of the robot.
+fn place(settings: &Settings) -> zenoh::Result<KeySpace> {
+    Ok(KeySpace {
+        fleet: Name::new(&settings.fleet)?,
+        robot: Name::new(&settings.robot)?,
+    })
 }
 
 /// Dials the connections of the file now, and again whenever the file changes.

@@ -13,6 +13,7 @@ mod keyboard;
 mod manual;
 mod measure;
 mod payload;
+mod program;
 mod publish;
 mod record;
 mod recording;
@@ -40,6 +41,7 @@ Examples without a robot: run `rect sim` in one terminal, and in another
   rect peers                               # lists the reachable robots
   rect sub '*/**'                          # prints everything that they publish
   rect topic list                          # lists the topics and their rates
+  rect service list                        # lists the services that robots offer
   rect request wombat-2 battery            # sends a request to a service
 
 Examples on a robot with a router (`sudo rect init wombat-1 --start` configures and starts it):
@@ -84,6 +86,8 @@ enum Command {
     Serve(request::ServeArguments),
     Stream(stream::StreamArguments),
     Topic(topic::TopicArguments),
+    Program(program::ProgramArguments),
+    Service(program::ServiceArguments),
     Transfer(transfer::TransferArguments),
     Record(record::RecordArguments),
     Replay(replay::ReplayArguments),
@@ -144,6 +148,8 @@ fn main() -> ExitCode {
         Command::Serve(arguments) => wait(request::serve(arguments)),
         Command::Stream(arguments) => wait(stream::run(arguments)),
         Command::Topic(arguments) => wait_on_one_thread(topic::run(arguments)),
+        Command::Program(arguments) => wait_on_one_thread(program::programs(arguments)),
+        Command::Service(arguments) => wait_on_one_thread(program::services(arguments)),
         Command::Transfer(arguments) => wait(transfer::run(arguments)),
         Command::Record(arguments) => record::run(arguments),
         Command::Replay(arguments) => wait(replay::run(arguments)),

@@ -5,6 +5,7 @@
 //! payloads smaller. [`session`], [`registry`], [`stream`] and [`transfer`] make the decisions of a session: plain structs and
 //! functions decide about a single call, and a [`driver`] decides what takes more than one call to Zenoh. [`storage`] reads
 //! and writes the files of transfers.
+pub mod catalogue;
 pub mod cause;
 pub mod clock;
 pub mod codec;

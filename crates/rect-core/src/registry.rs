@@ -1,8 +1,10 @@
 //! Drives questions to the registry of a router, and changes of its named connections (docs/reference/registry.md); parses the
 //! questions that a registry receives ([`selector`]).
+pub mod catalogue_query;
 pub mod connection;
 pub mod named_connection;
 pub mod observer;
+pub mod programs;
 pub mod selector;
 pub mod topics;
 

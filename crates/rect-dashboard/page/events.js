@@ -6,6 +6,8 @@ import { timeOfDay, visible } from "./format.js";
 const TEXTS = {
   peer_up: "robot reachable",
   peer_down: "robot not reachable",
+  program_up: "program began",
+  program_down: "program ended",
   link_up: "link established",
   link_down: "link ended",
   path_switched: "path switched",
@@ -13,7 +15,7 @@ const TEXTS = {
   router_down: "router lost",
   error: "error",
 };
-const BAD = ["peer_down", "link_down", "router_down", "error"];
+const BAD = ["peer_down", "program_down", "link_down", "router_down", "error"];
 
 /** Shows the events in `parent`, until the returned function is called. */
 export function events(link, parent) {

@@ -152,6 +152,7 @@ impl Observer {
                     record.asked = None;
                 }
             }
+            Event::ProgramUp { .. } | Event::ProgramDown { .. } => {}
             Event::RouterUp => self.connected = true,
             Event::RouterDown => self.connected = false,
         }

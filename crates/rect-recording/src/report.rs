@@ -27,7 +27,7 @@ pub const LINKS_EVERY: Duration = Duration::from_secs(1);
 /// The form of an event in a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct EventReport<'a> {
-    /// `peer_up`, `peer_down`, `link_up`, `link_down`, `path_switched`, `router_up` or `router_down`.
+    /// `peer_up`, `peer_down`, `program_up`, `program_down`, `link_up`, `link_down`, `path_switched`, `router_up` or `router_down`.
     pub kind: &'a str,
     /// The other robot.
     pub robot: Option<&'a str>,
@@ -39,6 +39,8 @@ pub struct EventReport<'a> {
     pub path: Option<&'a str>,
     /// Why that path has changed.
     pub reason: Option<&'a str>,
+    /// The program.
+    pub program: Option<&'a str>,
 }
 
 /// The form of a request in a recording.
@@ -65,6 +67,7 @@ impl<'a> EventReport<'a> {
             self.address,
             self.path,
             self.reason,
+            self.program,
         ];
         while fields.last().is_some_and(Option::is_none) {
             fields.pop();
@@ -100,6 +103,14 @@ impl<'a> From<&'a Event> for EventReport<'a> {
         match event {
             Event::PeerUp { robot } => Self::of_peer("peer_up", robot),
             Event::PeerDown { robot } => Self::of_peer("peer_down", robot),
+            Event::ProgramUp { robot, program } => Self {
+                program: Some(program.as_str()),
+                ..Self::of_peer("program_up", robot)
+            },
+            Event::ProgramDown { robot, program } => Self {
+                program: Some(program.as_str()),
+                ..Self::of_peer("program_down", robot)
+            },
             Event::LinkUp(link) => Self::of_link("link_up", link),
             Event::LinkDown(link) => Self::of_link("link_down", link),
             Event::PathSwitched { link, path, reason } => Self {

@@ -31,7 +31,8 @@ pub use self::{
 };
 use crate::{
     session, Connection, Counters, Error, Event, FromPayload, Message, Name, NamedConnection,
-    Options, Pattern, Payload, QueueOptions, Reply, Service, ToPayload, Topic, Urgency,
+    Options, Pattern, Payload, Program, QueueOptions, Reply, Service, ServiceOptions, ToPayload,
+    Topic, Urgency,
 };
 use rect_core::codec::{dictionary::Dictionary, Codec};
 
@@ -382,8 +383,26 @@ impl Robot {
         V: ToPayload + Send + 'static,
         E: ToPayload + Send + From<&'static str> + 'static,
     {
+        self.serve_with(topic, ServiceOptions::default(), answer)
+    }
+
+    /// Does the same as [`serve`](Self::serve), with a description of the service and other options.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::serve_with`].
+    pub fn serve_with<F, V, E>(
+        &self,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
+        options: ServiceOptions,
+        answer: F,
+    ) -> Result<Service, Error>
+    where
+        F: Fn(&session::Request) -> Result<V, E> + Send + Sync + 'static,
+        V: ToPayload + Send + 'static,
+        E: ToPayload + Send + From<&'static str> + 'static,
+    {
         let answer = Arc::new(answer);
-        let served = self.robot.serve(topic, move |request| {
+        let served = self.robot.serve_with(topic, options, move |request| {
             let answer = answer.clone();
             async move {
                 let answered = tokio::task::spawn_blocking(move || answer(&request)).await;
@@ -391,6 +410,17 @@ impl Robot {
             }
         });
         self.runtime.wait(served)
+    }
+
+    /// Returns the programs of `robot` that have a name or serve something, each with its services.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::programs`].
+    pub fn programs(
+        &self,
+        robot: impl TryInto<Name, Error: Into<Error>>,
+    ) -> Result<Vec<Program>, Error> {
+        self.runtime.wait(self.robot.programs(robot))
     }
 
     /// Returns the names of the other robots of the fleet that are reachable now, in alphabetical order.

@@ -85,6 +85,13 @@ pub enum Error {
         /// The reachable robots.
         available: Vec<Name>,
     },
+    /// The program cannot serve a topic: another program of this robot serves it already. The reason names that program, and what to
+    /// do.
+    #[error("{reason}")]
+    ServiceRefused {
+        /// The reason.
+        reason: String,
+    },
     /// A service received the request, or may have received it, and no reply followed: the program that serves it, a router or the
     /// link to it ended meanwhile, or the program ended the request without a reply. It may have been carried out; ask the robot
     /// before you repeat a request that must not be carried out twice.

@@ -25,6 +25,7 @@ pub use error::Error;
 pub use session::*;
 
 pub use rect_core::{
+    catalogue::{Program, ServiceEntry},
     codec,
     codec::{
         array::Array,

@@ -42,7 +42,7 @@ pub use recorded::Recorded;
 pub use recording::{RecordOptions, RobotRecorder};
 pub use request::{Replies, Reply};
 pub use robot::Robot;
-pub use service::{Request, Requests, Service};
+pub use service::{Request, Requests, Service, ServiceOptions};
 pub use stream::{Frame, StreamSender, Watcher};
 pub(crate) use subscriber::call;
 pub use subscriber::{QueueOptions, Subscriber, Subscription};

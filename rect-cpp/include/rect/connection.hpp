@@ -152,6 +152,10 @@ public:
         router_down = RECT_EVENT_KIND_ROUTER_DOWN,
         /// Another path carries the bulk of a link whose method is `any`.
         path_switched = RECT_EVENT_KIND_PATH_SWITCHED,
+        /// A program that has a name is known at a robot.
+        program_up = RECT_EVENT_KIND_PROGRAM_UP,
+        /// A program has ended, or its robot became unreachable.
+        program_down = RECT_EVENT_KIND_PROGRAM_DOWN,
     };
 
     /// Refers to a struct of rect.h.
@@ -169,6 +173,8 @@ public:
     [[nodiscard]] std::string_view path() const noexcept { return detail::view(raw_.path); }
     /// Returns why the path has changed: `ended`, `silent` or `faster`. Empty unless it has.
     [[nodiscard]] std::string_view reason() const noexcept { return detail::view(raw_.reason); }
+    /// Returns the name of the program. Empty if the event does not concern one.
+    [[nodiscard]] std::string_view program() const noexcept { return detail::view(raw_.program); }
 
 private:
     rect_event raw_;

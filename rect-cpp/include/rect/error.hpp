@@ -76,6 +76,8 @@ enum class Code {
     /// A service may have received the request, and no reply follows: its program, a router or the link ended. It may have been
     /// carried out; ask the robot before you repeat a request that must not be carried out twice.
     interrupted = RECT_CODE_INTERRUPTED,
+    /// Another program of the robot serves the topic already. The text names it.
+    service_refused = RECT_CODE_SERVICE_REFUSED,
 };
 
 /// The reason why a call failed.

@@ -4,6 +4,7 @@
 #define RECT_OPTIONS_HPP
 
 #include <chrono>
+#include <optional>
 #include <string>
 #include <utility>
 #include <vector>
@@ -45,6 +46,9 @@ struct Options {
     /// Whether to connect even if the router belongs to another robot, for programs that deliberately use another name. The
     /// access control that `rect init` sets up drops everything that such a program publishes.
     bool allow_name_mismatch{false};
+    /// The name under which this program is known in the fleet. Default: that of the executable. An empty text leaves the program
+    /// without a name.
+    std::optional<std::string> program{};
 };
 
 /// @cond
@@ -80,6 +84,7 @@ auto with_options(const Options& options, Use use) {
     raw.user = or_null(options.user);
     raw.password = options.password.c_str();
     raw.login_file = or_null(options.login_file);
+    raw.program = options.program ? options.program->c_str() : nullptr;
     raw.timeout_ms = ms(options.timeout);
     raw.zenoh_keys = keys.data();
     raw.zenoh_values = values.data();

@@ -232,14 +232,18 @@ public:
     /// rect::on_callback_error.
     ///
     /// Up to 16 requests are handled at a time, on several threads, until the Service is destroyed. The function may use all
-    /// of RECT. Fails with Code::topic if the topic is invalid.
+    /// of RECT. Fails with Code::topic if the topic is invalid, and with Code::service_refused if a program of this robot serves it
+    /// already.
     template <class F>
-    [[nodiscard]] expected<Service> serve(const Text& topic, F&& function) const {
+    [[nodiscard]] expected<Service> serve(const Text& topic, F&& function, const ServiceOptions& options = {}) const {
         detail::Callback<std::decay_t<F>> callback(std::forward<F>(function));
+        rect_service_options raw_options{};
+        raw_options.about = options.about.c_str();
+        raw_options.allow_several = options.allow_several;
         rect_service service;
         rect_error error;
-        const auto code = rect_robot_serve(raw(), topic.c_str(), detail::serve<std::decay_t<F>>, callback.context(),
-                                           decltype(callback)::release, &service, &error);
+        const auto code = rect_robot_serve(raw(), topic.c_str(), &raw_options, detail::serve<std::decay_t<F>>,
+                                           callback.context(), decltype(callback)::release, &service, &error);
         return detail::value_or_error<Service>(code, error, [&] { return Service(service.id); });
     }
 
@@ -452,9 +456,9 @@ public:
         return detail::ok_or_error(rect_robot_remove_connection(raw(), detail::or_null(target), name.c_str(), &error), error);
     }
 
-    /// Calls `function(const rect::Event&)` for each event, like `subscribe` does for messages: robots, links and the router
-    /// that become reachable or unreachable. The first calls report the robots that are already reachable and the links that
-    /// the router already has.
+    /// Calls `function(const rect::Event&)` for each event, like `subscribe` does for messages: robots, programs, links and
+    /// the router that become reachable or unreachable. The first calls report the robots and programs that are already
+    /// reachable and the links that the router already has.
     template <class F>
     [[nodiscard]] expected<Subscription> on_event(F&& function) const {
         return with_callback(std::forward<F>(function), [&](auto& callback, rect_subscription* subscription, rect_error* error) {

@@ -55,6 +55,15 @@ public:
     }
 };
 
+/// The description of a service, and whether it may have company.
+struct ServiceOptions {
+    /// The purpose of the service, for `rect service list` and the dashboard: at most 200 characters.
+    std::string about{};
+    /// Whether other programs of the robot may serve the same topic, which then have to allow it, too. Each of them answers every
+    /// request.
+    bool allow_several{false};
+};
+
 /// A request to a service. It is valid until the function that receives it returns.
 class Request {
 public:

@@ -30,6 +30,7 @@ from rect.errors import (
     RecordingError,
     RectError,
     ServiceError,
+    ServiceRefused,
     ThreadError,
     TimedOut,
     TransferError,
@@ -40,6 +41,7 @@ from rect.errors import (
 )
 from rect.events import Counters, Event, Events
 from rect.message import Message
+from rect.program import Program, ServiceEntry
 from rect.publisher import Publisher
 from rect.recording import RecordedEvent, RecordedMessage, RecordedRequest, Recorder, Recording
 from rect.registry import Connection, Connections, LinkLane, LinkPath, Peer
@@ -85,6 +87,7 @@ __all__ = [
     "Peer",
     "Picture",
     "PixelFormat",
+    "Program",
     "Progress",
     "Publisher",
     "Received",
@@ -102,7 +105,9 @@ __all__ = [
     "Robot",
     "SenderCounts",
     "Service",
+    "ServiceEntry",
     "ServiceError",
+    "ServiceRefused",
     "StreamMode",
     "StreamSender",
     "Subscriber",

@@ -30,13 +30,14 @@ from rect.events import Counters, Event
 from rect.events import Events as BlockingEvents
 from rect.message import Message
 from rect.options import Options, seconds, text
+from rect.program import Program
 from rect.publisher import Publisher as BlockingPublisher
 from rect.receive_queue import DEFAULT_CAPACITY, Ended
 from rect.registry import Connections
 from rect.request import Replies as BlockingReplies
 from rect.request import Reply
 from rect.robot import DEFAULT_TIMEOUT, CodecLike
-from rect.service import Request, Requests, request_converter
+from rect.service import Request, Requests
 from rect.stream import Frame
 from rect.stream import StreamSender as BlockingStreamSender
 from rect.stream import Watcher as BlockingWatcher
@@ -64,10 +65,11 @@ def connect(
     timeout: float = 5.0,
     zenoh: Mapping[str, Any] | None = None,
     allow_name_mismatch: bool = False,
+    program: str | None = "",
 ) -> Connecting:
     """Connects as `rect.connect` does: `async with connect(...) as robot:`, or `robot = await connect(...)`."""
     settings = zenoh or {}
-    options = (fleet, router, endpoints, listen, login, login_file, timeout, settings, allow_name_mismatch)
+    options = (fleet, router, endpoints, listen, login, login_file, timeout, settings, allow_name_mismatch, program)
     return Connecting(Options(name, *options))
 
 
@@ -294,18 +296,24 @@ class Robot:
         return Replies(self._robot._request(None, topic, value, returns, timeout, urgency, codec))
 
     @overload
-    def serve(self, topic: str) -> Callable[[Handler], Service]: ...
+    def serve(
+        self, topic: str, *, about: str | None = None, allow_several: bool = False
+    ) -> Callable[[Handler], Service]: ...
     @overload
-    def serve(self, topic: str, handler: Handler) -> Service: ...
-    def serve(self, topic: str, handler: Handler | None = None) -> Service | Callable[[Handler], Service]:
+    def serve(
+        self, topic: str, handler: Handler, *, about: str | None = None, allow_several: bool = False
+    ) -> Service: ...
+    def serve(
+        self, topic: str, handler: Handler | None = None, *, about: str | None = None, allow_several: bool = False
+    ) -> Service | Callable[[Handler], Service]:
         """Serves requests with a function or an `async def`; see `rect.Robot.serve`. Both may yield several replies."""
         self._session.check()
         text("topic", topic)
         if handler is None:
-            return lambda handler: self.serve(topic, handler)
+            return lambda handler: self.serve(topic, handler, about=about, allow_several=allow_several)
         if not callable(handler):
             raise TypeError(f"handler must be a function, not {type(handler).__name__}")
-        return Service(self, topic, handler)
+        return Service(self, topic, handler, about, allow_several)
 
     def stream(self, topic: str, **options: Any) -> StreamSender:
         """Opens a stream for sending frames; see `rect.Robot.stream`."""
@@ -432,6 +440,10 @@ class Robot:
     async def remove_connection(self, name: str, *, robot: str | None = None) -> None:
         """Removes a named connection from the router of a robot; see `rect.Robot.remove_connection`."""
         await asyncio.to_thread(lambda: self._robot.remove_connection(name, robot=robot))
+
+    async def programs(self, robot: str | None = None) -> list[Program]:
+        """Returns the programs of a robot, with their services; see `rect.Robot.programs`."""
+        return await asyncio.to_thread(self._robot.programs, robot)
 
     async def query_registry(self, question: str, *, robot: str | None = None, filter: str = "") -> Any:
         """Sends a question to the registry of a router, and returns its answer; see `rect.Robot.query_registry`."""
@@ -748,11 +760,11 @@ class Replies(_Handle, Generic[T]):
 class Service:
     """Answers the requests to a topic by calling a function; see `rect.Service`."""
 
-    def __init__(self, robot: Robot, topic: str, handler: Handler) -> None:
+    def __init__(self, robot: Robot, topic: str, handler: Handler, about: str | None, allow_several: bool) -> None:
         self._topic = topic
         self._handler = handler
         self._robot = robot
-        self._requests = Requests(robot._session, topic, request_converter(handler))
+        self._requests = Requests(robot._session, topic, handler, about, allow_several)
         self._room = asyncio.Semaphore(_rect.MAX_CONCURRENT)
         self._task = robot.begin(self._run())
 

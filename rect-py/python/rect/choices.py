@@ -22,10 +22,21 @@ LossyFormat = Literal["jpeg", "webp"]
 PixelFormat = Literal["grey8", "rgb8", "rgba8"]
 """The channels of a picture's pixels, one byte each."""
 
-EventKind = Literal["peer_up", "peer_down", "link_up", "link_down", "path_switched", "router_up", "router_down"]
+EventKind = Literal[
+    "peer_up",
+    "peer_down",
+    "program_up",
+    "program_down",
+    "link_up",
+    "link_down",
+    "path_switched",
+    "router_up",
+    "router_down",
+]
 """The kind of an `Event`:
 
 - `peer_up`, `peer_down`: a robot of the fleet became reachable, or is no longer reachable;
+- `program_up`, `program_down`: a named program of a robot is known, or has ended or is no longer reachable;
 - `link_up`, `link_down`: a link of this robot's router was opened or closed, or, without a router, a link of this
   program. A second `link_up` for the same link names the robot, if the robot was unknown at first;
 - `path_switched`: another path carries the bulk of a link whose method is `any`;

@@ -34,9 +34,13 @@ class Declared:
     def add(self, declared: Any) -> None:
         self._declared.append(declared)
 
-    def remove(self, declared: Any) -> None:
-        """Removes a declaration that the caller ends."""
-        self._declared.remove(declared)
+    def remove(self, declared: Any) -> bool:
+        """Removes a declaration that the caller ends. Returns `False` if `end` ends it, on another thread."""
+        try:
+            self._declared.remove(declared)
+        except ValueError:
+            return False
+        return True
 
     def keep(self, kept: object) -> None:
         """Keeps an object in a child process after a fork, since it refers to threads of the parent."""

@@ -115,6 +115,10 @@ class NoService(RectError, LookupError):
         self.available = available
 
 
+class ServiceRefused(RectError):
+    """The program cannot serve a topic: another program of this robot serves it already."""
+
+
 class Interrupted(RectError, ConnectionError):
     """A request may have been carried out, and no reply follows: the service's program, a router or the link ended.
 

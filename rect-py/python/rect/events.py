@@ -32,6 +32,8 @@ class Event:
     path: str | None = None
     #: Why the path has changed: `ended`, `silent` (without acknowledgements) or `faster`. `None` unless it has.
     reason: str | None = None
+    #: Name of the program. `None` unless the event is about one.
+    program: str | None = None
 
 
 @dataclass(frozen=True)
@@ -71,7 +73,7 @@ class Events:
         self._session = session
         #: Fields of an `Event`.
         self._queue: ReceiveQueue[tuple[Any, ...]] = ReceiveQueue(DEFAULT_CAPACITY, "drop_oldest")
-        driver = _rect.observer(session.key_space, session.is_direct)
+        driver = _rect.observer(session.key_space, session.program.instance, session.is_direct)
         self._executor = Executor(session, driver, self._queue.queue, queue=self._queue, is_passive=True)
         self._executor.start("rect events")
         self._executor.leave_with(self)

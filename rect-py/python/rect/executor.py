@@ -199,8 +199,7 @@ class Executor:
 
     def _undeclare(self, id: int) -> None:
         declared = self._declared.pop(id, None)
-        if declared is not None:
-            self.declarations.remove(declared)
+        if declared is not None and self.declarations.remove(declared):
             undeclared(declared)
 
     def _put(self, publisher: int, payload: bytes, encoding: str, attachment: bytes | None) -> None:

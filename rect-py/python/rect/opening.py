@@ -7,6 +7,7 @@ from rect.decoder import Decoder
 from rect.events import follow_links
 from rect.executor import Executor
 from rect.options import Options, tokens_of_router
+from rect.program import Presence, name_of_script
 from rect.session import Session
 
 
@@ -15,6 +16,7 @@ def open_session(options: Options) -> Session:
     session = Session(options)
     try:
         session.decoder = Decoder(session)
+        session.program = Presence(session, name_of_script() if options.program == "" else options.program)
         if session.is_direct:
             presence = _rect.direct_presence(session.key_space, str(session.zenoh.zid()))
             Executor(session, presence).start("rect presence")

@@ -45,6 +45,7 @@ class Options:
     timeout: float = 5.0
     settings: Mapping[str, Any] = field(default_factory=dict)
     allow_name_mismatch: bool = False
+    program: str | None = ""
 
     def __post_init__(self) -> None:
         for option in ("name", "fleet"):
@@ -58,6 +59,8 @@ class Options:
                 )
         if self.router is not None:
             text("router", self.router)
+        if self.program is not None:
+            text("program", self.program)
         if self.login is not None:
             is_pair = isinstance(self.login, (tuple, list)) and len(self.login) == 2
             if not is_pair or not all(isinstance(part, str) for part in self.login):

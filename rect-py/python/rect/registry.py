@@ -127,15 +127,16 @@ class Connections(list[Connection]):
 
 def query(session: Session, robot: str, question: str, filter: str) -> Any:
     """Returns the answer of a robot's registry (docs/reference/registry.md) about what `filter` selects."""
-    return _answer(session, robot, _rect.registry_query(session.key_space, robot, question, filter)).value
+    return answer(session, robot, _rect.registry_query(session.key_space, robot, question, filter)).value
 
 
 def configure(session: Session, robot: str, action: str, argument: str) -> None:
     """Adds or removes a connection of a robot's router."""
-    _answer(session, robot, _rect.registry_change(session.key_space, robot, action, argument))
+    answer(session, robot, _rect.registry_change(session.key_space, robot, action, argument))
 
 
-def _answer(session: Session, robot: str, driver: _rect.Driver) -> Payload:
+def answer(session: Session, robot: str, driver: _rect.Driver) -> Payload:
+    """Returns the answer of a robot's registry to a question of the core."""
     outcome, detail = Executor(session, driver).run()
     if outcome == "answer":
         return Payload(*detail)
@@ -169,7 +170,7 @@ def wait(session: Session, driver: _rect.Driver, expected: Callable[[], str], ti
 def report(session: Session) -> bytes:
     """Returns the connections of this robot's router, as its registry reports them."""
     robot = session.key_space.robot
-    return _answer(session, robot, _rect.registry_query(session.key_space, robot, "connections", "")).bytes
+    return answer(session, robot, _rect.registry_query(session.key_space, robot, "connections", "")).bytes
 
 
 def connections(session: Session, robot: str, filter: str) -> Connections:

@@ -16,6 +16,7 @@ from rect.events import Counters, Event, Events
 from rect.message import Message
 from rect.opening import open_session
 from rect.options import Options, lifetime_of, seconds, text, whole
+from rect.program import Program, programs_of
 from rect.publisher import Publisher
 from rect.receive_queue import DEFAULT_CAPACITY
 from rect.recording import Recorder
@@ -50,6 +51,7 @@ def connect(
     timeout: float = 5.0,
     zenoh: Mapping[str, Any] | None = None,
     allow_name_mismatch: bool = False,
+    program: str | None = "",
 ) -> Robot:
     """Connects to the router of this computer as a program of the robot `name`.
 
@@ -69,6 +71,8 @@ def connect(
     - `allow_name_mismatch`: connects even if the router serves another robot, for a program that uses another name on
       purpose. A router with the access control that `rect-router init` writes drops what such a program publishes.
       Default: `False`.
+    - `program`: name under which this program is known in the fleet; `None` leaves it without one. Default: the name of
+      the script, except for tests, notebooks and `python -c`.
 
     Raises `NoRouter`, `LoginRefused`, `WrongRobot`, `InvalidNameError` and `OptionError`.
 
@@ -76,7 +80,7 @@ def connect(
     ...     robot.publish("greeting", "hello")
     """
     settings = zenoh or {}
-    options = (fleet, router, endpoints, listen, login, login_file, timeout, settings, allow_name_mismatch)
+    options = (fleet, router, endpoints, listen, login, login_file, timeout, settings, allow_name_mismatch, program)
     return Robot(Options(name, *options))
 
 
@@ -431,10 +435,16 @@ class Robot:
         return self._request(None, topic, value, returns, timeout, urgency, codec)
 
     @overload
-    def serve(self, topic: str) -> Callable[[Handler], Service]: ...
+    def serve(
+        self, topic: str, *, about: str | None = None, allow_several: bool = False
+    ) -> Callable[[Handler], Service]: ...
     @overload
-    def serve(self, topic: str, handler: Handler) -> Service: ...
-    def serve(self, topic: str, handler: Handler | None = None) -> Service | Callable[[Handler], Service]:
+    def serve(
+        self, topic: str, handler: Handler, *, about: str | None = None, allow_several: bool = False
+    ) -> Service: ...
+    def serve(
+        self, topic: str, handler: Handler | None = None, *, about: str | None = None, allow_several: bool = False
+    ) -> Service | Callable[[Handler], Service]:
         """Serves requests on `topic` by calling `handler` with each `Request`.
 
         The return value of the handler is sent as the reply; a generator sends several replies. If the handler raises
@@ -451,15 +461,21 @@ class Robot:
         A handler whose parameter is annotated with `rect.Request[Grab]` receives values of the type `Grab` (see
         `subscribe`). A request with another value is answered with an error that names the field.
 
-        Raises `InvalidTopicError`, `Closed`, and `TypeError` if values cannot be converted to that type.
+        - `about`: what the service does, for `rect service list` and the dashboard. Default: the first line of the
+          handler's docstring.
+        - `allow_several`: whether other programs of the robot may serve the same topic, which then have to allow it,
+          too. Each of them answers every request.
+
+        Raises `ServiceRefused` if a program of this robot serves the topic already, `InvalidTopicError`, `Closed`, and
+        `TypeError` if values cannot be converted to that type.
         """
         self._session.check()
         text("topic", topic)
         if handler is None:
-            return lambda handler: self.serve(topic, handler)
+            return lambda handler: self.serve(topic, handler, about=about, allow_several=allow_several)
         if not callable(handler):
             raise TypeError(f"handler must be a function, not {type(handler).__name__}")
-        return Service(self._session, topic, handler)
+        return Service(self._session, topic, handler, about, allow_several)
 
     def stream(
         self,
@@ -758,6 +774,18 @@ class Robot:
         self._session.check()
         registry.configure(self._session, robot or self.name, _rect.REMOVE, text("name", name))
 
+    def programs(self, robot: str | None = None) -> list[Program]:
+        """Returns the programs of `robot` that have a name or serve something, with their services.
+
+        `robot` defaults to this robot. An answer is kept until the robot's programs announce a change (at most once a
+        second), so that asking again costs nothing on the air.
+
+        Raises `NoService` if no router with a catalogue answers, `TimedOut` if no reply arrives within 5 s,
+        `PayloadError` if the answer is not a catalogue, and `Closed`.
+        """
+        self._session.check()
+        return programs_of(self._session, robot or self.name)
+
     def query_registry(self, question: str, *, robot: str | None = None, filter: str = "") -> Any:
         """Sends a question such as `connections/count` or `status` to the registry of a router, and returns its answer.
 
@@ -770,9 +798,9 @@ class Robot:
         return registry.query(self._session, robot or self.name, text("question", question), filter)
 
     def events(self) -> Events:
-        """Returns an iterator of events: robots, links and the router that appear and disappear.
+        """Returns an iterator of events: robots, programs, links and the router that appear and disappear.
 
-        The first events report the robots and links that exist already. Example:
+        The first events report the robots, named programs and links that exist already. Example:
 
             for event in robot.events():
                 print(event.kind, event.robot)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import logging
 import threading
@@ -17,7 +18,7 @@ from rect import _rect
 from rect._zenoh import direct, payload_bytes, zenoh_error
 from rect.advice import on_problem
 from rect.declared import Declared
-from rect.errors import CodecError, MismatchError, PayloadError, RectError
+from rect.errors import Closed, CodecError, MismatchError, PayloadError, RectError
 from rect.message import UNREAD
 from rect.receive_queue import Ended, ReceiveQueue
 from rect.typed import Converter, T, converter_of
@@ -134,15 +135,24 @@ class Request(Generic[T]):
 class Requests:
     """Receives the requests to a service."""
 
-    def __init__(self, session: Session, topic: str, converter: Converter[Any] | None = None) -> None:
+    def __init__(
+        self, session: Session, topic: str, handler: Callable[..., Any], about: str | None, allow_several: bool
+    ) -> None:
+        converter = request_converter(handler)
+        if about is None:
+            about = (inspect.getdoc(handler) or "").partition("\n")[0]
+        session.program.serve(topic, about, allow_several)
         self._session = session
         self._converter = converter
+        #: Held while the router is asked whether another program serves the topic.
+        self._checking = threading.Lock()
         self._queue: ReceiveQueue[tuple[zenoh.Query, _rect.Timestamp]] = ReceiveQueue(
             _rect.SERVICE_CAPACITY, "drop_newest"
         )
         self._key = session.key_space.publication(topic)
-        on_request = _rect.OnRequest(self._queue.queue, _refuse_overload(session.key_space.robot))
-        self._declared = Declared(session, self._queue)
+        service = (session.program.instance, self._on_taken_over)
+        on_request = _rect.OnRequest(self._queue.queue, _refuse_overload(session.key_space.robot), service)
+        self._declared = Declared(session, self._queue, lambda: session.program.end(topic))
         try:
             with session.calls:
                 self._declared.add(session.zenoh.declare_queryable(self._key, direct(on_request), complete=True))
@@ -195,6 +205,18 @@ class Requests:
             return False
         return True
 
+    def _on_taken_over(self) -> None:
+        """Begins to check whether another program serves the topic now, on a thread of its own: Zenoh's waits for this
+        function."""
+        if self._checking.acquire(blocking=False):
+            threading.Thread(target=self._end_if_taken_over, name="rect taken over", daemon=True).start()
+
+    def _end_if_taken_over(self) -> None:
+        with contextlib.suppress(Closed):
+            if self._session.program.is_taken_over(self._key.split("/", 2)[2]):
+                self._declared.end()
+        self._checking.release()
+
     def close(self) -> None:
         self._declared.end()
 
@@ -205,13 +227,20 @@ class Service:
     Returned by `Robot.serve`. It ends when it or the robot is closed.
     """
 
-    def __init__(self, session: Session, topic: str, handler: Callable[[Request[Any]], Any]) -> None:
+    def __init__(
+        self,
+        session: Session,
+        topic: str,
+        handler: Callable[[Request[Any]], Any],
+        about: str | None,
+        allow_several: bool,
+    ) -> None:
         self._topic = topic
         self._handler = handler
         self._lock = threading.Lock()
         self._workers = 0
         self._idle = 0
-        self._requests = Requests(session, topic, request_converter(handler))
+        self._requests = Requests(session, topic, handler, about, allow_several)
         self._ensure_waiting_worker()
 
     def close(self) -> None:

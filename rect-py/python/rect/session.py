@@ -42,6 +42,24 @@ class Declaring(Ending, Protocol):
         """Drops the declarations in a child process."""
 
 
+class Presence(Protocol):
+    """The presence of this program: its name, and what it serves."""
+
+    instance: int
+
+    def serve(self, topic: str, about: str, allow_several: bool) -> None:
+        """Announces a service, which is then declared."""
+        ...
+
+    def is_taken_over(self, topic: str) -> bool:
+        """Returns whether another program serves a topic now, because this one did not answer."""
+        ...
+
+    def end(self, topic: str) -> None:
+        """Announces the end of a service."""
+        ...
+
+
 class Decoding(Protocol):
     """Decodes payloads, with dictionaries that it fetches and serves."""
 
@@ -95,6 +113,10 @@ class Session:
         self._why_closed: str | None = None
         self._publications: dict[tuple[str, str | None, str, bool], Publication] = {}
         self._queriers: dict[tuple[str, str], Querier] = {}
+        #: Last catalogues of robots.
+        self.catalogues = _rect.Catalogues()
+        #: Presence of this program; set when the session is complete.
+        self.program: Presence
         #: Links of the robot's router; `None` without a router.
         self.links: _rect.Links | None = None
         _OPEN.add(self)

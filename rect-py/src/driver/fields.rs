@@ -9,6 +9,7 @@ use pyo3::{
     IntoPyObjectExt,
 };
 use rect_core::{
+    catalogue::registration::Registered,
     driver::Sample,
     message::payload::Payload,
     name::Name,
@@ -105,6 +106,18 @@ impl ToPython for Result<Payload, RegistryError> {
             }
             Err(RegistryError::Closed) => ("closed", py.None()).into_py_any(py),
         }
+    }
+}
+
+impl ToPython for Registered {
+    fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        match self {
+            Self::Accepted(warning) => ("accepted", warning),
+            Self::Refused(reason) => ("refused", Some(reason)),
+            Self::Unanswered => ("unanswered", None),
+            Self::Closed => ("closed", None),
+        }
+        .into_py_any(py)
     }
 }
 

@@ -3,6 +3,7 @@ use std::time::{Duration, SystemTime};
 
 use pyo3::prelude::*;
 use rect_core::{
+    catalogue::Instance,
     clock::unix::ms_since_1970,
     name::Name,
     registry::{
@@ -99,10 +100,10 @@ pub fn registry_change(
     Ok(Driver::new(change, &Clock::new()))
 }
 
-/// Creates the observer of robots, links and the router.
+/// Creates the observer of robots, programs, links and the router, for the program `instance`.
 #[pyfunction]
-pub fn observer(key_space: &KeySpace, is_direct: bool) -> Driver {
-    let observer = Observer::new(key_space.0.clone(), is_direct);
+pub fn observer(key_space: &KeySpace, instance: u32, is_direct: bool) -> Driver {
+    let observer = Observer::new(key_space.0.clone(), Instance(instance), is_direct);
     Driver::new(observer, &Clock::new())
 }
 

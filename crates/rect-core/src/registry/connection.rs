@@ -272,6 +272,20 @@ pub enum Event {
         /// The robot.
         robot: Name,
     },
+    /// A program that has a name is known at a robot of the fleet.
+    ProgramUp {
+        /// The robot.
+        robot: Name,
+        /// The program.
+        program: Name,
+    },
+    /// A program has ended, or its robot cannot be reached any more.
+    ProgramDown {
+        /// The robot.
+        robot: Name,
+        /// The program.
+        program: Name,
+    },
     /// This robot has a new link. The event is repeated, with the robot, when it becomes known which robot the link
     /// leads to.
     LinkUp(Link),

@@ -1,8 +1,15 @@
-//! Drives the subscription to events of robots, links and the router, and the observation of the router's links.
+//! Drives the subscription to events of robots, programs, links and the router, and the observation of the router's links.
 use std::{collections::VecDeque, time::Instant};
 
-use super::connection::{Connection, Event as ConnectionEvent, Link, Links, Presence};
+use super::{
+    connection::{Connection, Event as ConnectionEvent, Link, Links, Presence},
+    programs::Programs,
+};
 use crate::{
+    catalogue::{
+        token::{self, Token},
+        Instance,
+    },
     driver::{Action, Declaration, Driver, Event, Get, Id, Reaction, Sample, Step},
     message::payload::Payload,
     name::key::KeySpace,
@@ -13,26 +20,32 @@ const LINKS: Id = Id(0);
 const PEERS: Id = Id(1);
 const CONNECTIONS: Id = Id(2);
 const QUERY: Id = Id(3);
+const PROGRAMS: Id = Id(4);
 
-/// Observes robots, links and the router. Delivers their events, beginning with the robots and links that exist.
+/// Observes robots, programs, links and the router. Delivers their events, beginning with the robots, programs and links that exist.
 #[derive(Debug)]
 pub struct Observer {
     place: KeySpace,
     is_direct: bool,
     actions: VecDeque<Action>,
     presence: Presence,
+    programs: Programs,
     links: Links,
     is_closed: bool,
 }
 
 impl Observer {
-    /// Creates the observer of a program. `is_direct`: the program has links of its own and no router.
-    pub fn new(place: KeySpace, is_direct: bool) -> Self {
+    /// Creates the observer of the program `own`. `is_direct`: the program has links of its own and no router.
+    pub fn new(place: KeySpace, own: Instance, is_direct: bool) -> Self {
         let declare = |id, declaration| Action::Declare { id, declaration };
         let key = peers::tokens(&place, None);
+        let programs = Declaration::LivelinessSubscriber {
+            key: token::tokens(&place, None),
+        };
         let mut actions = VecDeque::from([
             declare(LINKS, Declaration::LinkListener),
             declare(PEERS, Declaration::LivelinessSubscriber { key }),
+            declare(PROGRAMS, programs),
         ]);
         if !is_direct {
             actions.extend(follow(&place));
@@ -42,6 +55,7 @@ impl Observer {
             is_direct,
             actions,
             presence: Presence::default(),
+            programs: Programs::new(own),
             links: Links::default(),
             is_closed: false,
         }
@@ -81,6 +95,15 @@ impl Driver for Observer {
         match event {
             Event::Sample { id: PEERS, sample } => {
                 Reaction::deliver(self.on_token(&sample).into_iter().collect())
+            }
+            Event::Sample {
+                id: PROGRAMS,
+                sample,
+            } => {
+                let token = Token::parse(&self.place, &sample.key);
+                let event =
+                    token.and_then(|token| self.programs.on_token(token, !sample.is_deleted));
+                Reaction::deliver(event.into_iter().collect())
             }
             Event::Sample { sample, .. }
             | Event::Reply {

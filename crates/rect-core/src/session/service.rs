@@ -2,6 +2,7 @@
 use std::time::Duration;
 
 use crate::{
+    catalogue::Instance,
     message::{
         encoding::Encoding,
         payload::Payload,
@@ -14,6 +15,43 @@ use crate::{
 pub const CAPACITY: usize = 256;
 /// The number of requests that a service with a function processes concurrently.
 pub const MAX_CONCURRENT: usize = 16;
+
+/// The parameters of the query with which a router asks whether a service still answers.
+pub const PING: &str = "@ping";
+/// The beginning of the parameters of the query with which a router tells a program that another one serves its topic. The run of the
+/// program follows.
+const TAKEN_OVER: &str = "@taken=";
+
+/// Returns the parameters of the query that tells a run of a program that another one serves its topic.
+pub fn taken_over(instance: Instance) -> String {
+    format!("{TAKEN_OVER}{instance}")
+}
+
+/// The meaning of a query to a service.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ServiceQuery {
+    /// A request, or a query that looks around ([`Requester::of`]).
+    Request,
+    /// The router asks whether the service still answers. The library replies at once, whatever the service is doing.
+    Ping,
+    /// Another program of the robot may serve the topic now. Since anybody can send this, the library asks its router: the service ends
+    /// if that refuses to register it again.
+    TakenOver,
+    /// The router means another program of the robot.
+    OfAnother,
+}
+
+impl ServiceQuery {
+    /// Returns the meaning of the parameters of a query, for a run of a program.
+    pub fn of(parameters: &str, own: Instance) -> Self {
+        match parameters.strip_prefix(TAKEN_OVER) {
+            Some(instance) if instance == own.to_string() => Self::TakenOver,
+            Some(_) => Self::OfAnother,
+            None if parameters == PING => Self::Ping,
+            None => Self::Request,
+        }
+    }
+}
 
 /// The sender of a request, and how long it waits.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -76,6 +114,21 @@ mod tests {
         for key in [KEY, "rect/*/battery"] {
             let read = Requester::of(key, Some(&header.encode()));
             assert_eq!(read.as_ref(), Some(&requester), "{key}");
+        }
+    }
+
+    #[test]
+    fn queries_of_the_router_are_no_requests() {
+        let own = Instance(0x1f);
+        for (parameters, meaning) in [
+            ("", ServiceQuery::Request),
+            ("_time=now", ServiceQuery::Request),
+            (PING, ServiceQuery::Ping),
+            (&taken_over(own), ServiceQuery::TakenOver),
+            (&taken_over(Instance(1)), ServiceQuery::OfAnother),
+            ("@taken=", ServiceQuery::OfAnother),
+        ] {
+            assert_eq!(ServiceQuery::of(parameters, own), meaning, "{parameters}");
         }
     }
 

@@ -27,7 +27,7 @@ use crate::error::Error;
 
 /// Receives the [events](Event) of robots, links and the router; created by [`Robot::events`].
 ///
-/// At first, events report the robots that are already reachable and, with a router, the links that are already up.
+/// At first, events report the robots and programs that are already reachable and, with a router, the links that are already up.
 /// It also implements [`futures_core::Stream`]. Dropping it ends the subscription.
 pub struct Events {
     queue: Arc<ReceiveQueue<Event>>,
@@ -36,7 +36,7 @@ pub struct Events {
 }
 
 impl Robot {
-    /// Subscribes to events: robots that become reachable or unreachable, links of this robot's router that come up or go
+    /// Subscribes to events: robots that become reachable or unreachable, programs that begin or end, links of this robot's router that come up or go
     /// down (without a router: links of this program), and the loss and return of the router itself.
     ///
     /// ```no_run
@@ -56,7 +56,8 @@ impl Robot {
     pub async fn events(&self) -> Result<Events, Error> {
         let inner = &self.inner;
         let queue = ReceiveQueue::new(Queue::new(DEFAULT_CAPACITY, WhenFull::DropOldest));
-        let observer = Observer::new(inner.place.clone(), inner.direct);
+        let own = inner.program.driver().program().instance;
+        let observer = Observer::new(inner.place.clone(), own, inner.direct);
         let executor = Executor::new(&inner.session, observer, queue.clone());
         Ok(Events {
             queue,

@@ -247,6 +247,11 @@ where
         self.executor.shared.driver()
     }
 
+    /// Makes the executor poll the driver.
+    pub(super) fn wake(&self) {
+        self.executor.shared.wake();
+    }
+
     /// Returns whether the driver has finished, because the session was closed.
     pub(super) fn has_ended(&self) -> bool {
         self.executor.has_ended.load(Ordering::Relaxed)

@@ -6,6 +6,7 @@ use std::{
 };
 
 use rect_core::{
+    catalogue::program_name,
     name::{key::KeySpace, Name},
     session::{
         endpoint,
@@ -25,6 +26,13 @@ use crate::error::{valid, Error};
 
 const DEFAULT_FLEET: &str = "rect";
 
+/// The name under which a program is known.
+#[derive(Clone, Debug)]
+enum ProgramName {
+    OfExecutable,
+    Chosen(Option<Name>),
+}
+
 /// The settings of a session, for programs that need other settings than the defaults of [`connect`](crate::connect).
 ///
 /// ```no_run
@@ -35,6 +43,7 @@ const DEFAULT_FLEET: &str = "rect";
 #[derive(Clone, Debug)]
 pub struct Options {
     place: KeySpace,
+    program: ProgramName,
     router: String,
     endpoints: Vec<String>,
     listen: Vec<String>,
@@ -76,6 +85,7 @@ impl Options {
         let robot = valid(robot)?;
         Ok(Self {
             place: KeySpace { fleet, robot },
+            program: ProgramName::OfExecutable,
             router: Self::default_router(),
             endpoints: Vec::new(),
             listen: Vec::new(),
@@ -94,6 +104,27 @@ impl Options {
     pub fn fleet(mut self, fleet: impl TryInto<Name, Error: Into<Error>>) -> Result<Self, Error> {
         self.place.fleet = valid(fleet)?;
         Ok(self)
+    }
+
+    /// Sets the name under which this program is known in the fleet; default: that of the executable, unless it is a test of Cargo's.
+    /// Other robots see it in `rect program list`, and learn when the program ends.
+    ///
+    /// # Errors
+    /// [`Error::Name`] if `program` is not a valid name.
+    pub fn program(
+        mut self,
+        program: impl TryInto<Name, Error: Into<Error>>,
+    ) -> Result<Self, Error> {
+        self.program = ProgramName::Chosen(Some(valid(program)?));
+        Ok(self)
+    }
+
+    /// Leaves this program without a name: for tools that are not part of what a robot does. It is known only while it serves
+    /// something.
+    #[must_use]
+    pub fn without_program_name(mut self) -> Self {
+        self.program = ProgramName::Chosen(None);
+        self
     }
 
     /// Returns the default router: the value of the environment variable `RECT_ENDPOINT`, or `tcp/127.0.0.1:7447` if it is
@@ -196,7 +227,8 @@ impl Options {
                 value: self.links().locators(),
                 source,
             })?;
-            return Robot::start(session, self.place, None).await;
+            let program = self.program_name();
+            return Robot::start(session, self.place, program, None).await;
         }
         let (session, config) = self.join().await?;
         if !self.allows_name_mismatch {
@@ -208,7 +240,18 @@ impl Options {
                 return Err(wrong.into());
             }
         }
-        Robot::start(session, self.place, Some(config)).await
+        let program = self.program_name();
+        Robot::start(session, self.place, program, Some(config)).await
+    }
+
+    fn program_name(&self) -> Option<Name> {
+        match &self.program {
+            ProgramName::Chosen(name) => name.clone(),
+            ProgramName::OfExecutable => {
+                let file = std::env::current_exe().ok()?;
+                program_name(file.to_str()?)
+            }
+        }
     }
 
     /// Opens a session with the router, and returns it with its configuration.

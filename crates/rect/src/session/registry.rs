@@ -1,7 +1,12 @@
 //! Queries the routers for reachable robots and connections (docs/reference/registry.md lists the keys), and changes the
 //! named connections of a router.
+use std::convert::Infallible;
+
 use rect_core::{
-    message::payload::Payload,
+    catalogue::{self, Program},
+    cause::Cause,
+    driver::Driver,
+    message::payload::{Payload, PayloadError},
     name::Name,
     registry::{
         connection::Connection,
@@ -77,6 +82,40 @@ impl Robot {
         let place = self.inner.place.clone();
         let query = RegistryQuery::new(place, robot.clone(), question, filter);
         Ok(self.query_router(robot, query).await?.value()?)
+    }
+
+    /// Returns the programs of `robot` that have a name or serve something, each with its services, in the order in which they began.
+    /// An answer is kept until the robot's programs announce a change (at most once a second), so that asking again costs nothing on
+    /// the air.
+    ///
+    /// ```no_run
+    /// # async fn look(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// for program in robot.programs("wombat-2").await? {
+    ///     for service in &program.services {
+    ///         println!("{} serves {}: {}", program.title(), service.topic, service.about);
+    ///     }
+    /// }
+    /// # Ok(()) }
+    /// ```
+    ///
+    /// # Errors
+    /// Returns the errors of [`connections`](Self::connections), [`Error::Name`] if `robot` is not a valid name, and
+    /// [`Error::Payload`] if the reply is not a catalogue.
+    ///
+    /// # Cancel safety
+    /// Dropping the future abandons the question. Nothing else changes.
+    pub async fn programs(
+        &self,
+        robot: impl TryInto<Name, Error: Into<Error>>,
+    ) -> Result<Vec<Program>, Error> {
+        let (inner, robot) = (&self.inner, valid(robot)?);
+        let query = inner.catalogues.query(inner.place.clone(), robot.clone());
+        let answer = self.query_router(robot, query).await?;
+        let read = catalogue::read(&answer.bytes).map_err(|error| PayloadError::Read {
+            format: "JSON of a catalogue",
+            reason: Cause::new(error),
+        });
+        Ok(read?)
     }
 
     /// Adds a named connection to this robot's router, replacing the one of the same name. The router dials it from now on,
@@ -155,7 +194,10 @@ impl Robot {
         Ok(())
     }
 
-    async fn query_router(&self, robot: Name, query: RegistryQuery) -> Result<Payload, Error> {
+    async fn query_router<D>(&self, robot: Name, query: D) -> Result<Payload, Error>
+    where
+        D: Driver<Item = Infallible, Output = Result<Payload, RegistryError>> + Send + 'static,
+    {
         let executor = Executor::new(&self.inner.session, query, NoItems);
         executor.run().await?.map_err(|error| match error {
             RegistryError::Rejected(payload) => Error::Service {

@@ -6,6 +6,7 @@ use std::{
 };
 
 use rect_core::{
+    catalogue::presence::ProgramPresence,
     clock::unix::ms_since_1970,
     codec::{dictionary::Dictionary, dictionary_codec::DictionaryCodec, Codec},
     message::{
@@ -15,6 +16,7 @@ use rect_core::{
         urgency::Urgency,
     },
     name::{key::KeySpace, topic::Topic, Name},
+    registry::catalogue_query::Catalogues,
     session::{declarations::Declarations, peers::DirectPresence, publication::PublicationKey},
 };
 use tokio::runtime::Handle;
@@ -28,7 +30,7 @@ use super::{
     router_links::RouterLinks,
     shared::NoItems,
     urgency_sessions::UrgencySessions,
-    warnings::Warnings,
+    warnings::{WarningSink, Warnings},
 };
 use crate::error::{valid, Error};
 
@@ -59,6 +61,10 @@ pub(super) struct Inner {
     /// The router's links; `None` without a router.
     pub(super) router_links: Option<RouterLinks>,
     pub(super) direct: bool,
+    /// The last catalogues of robots.
+    pub(super) catalogues: Catalogues,
+    /// The presence of this program.
+    pub(super) program: Running<ProgramPresence>,
     /// The presence of the robot; `None` if its router has one.
     _presence: Option<Running<DirectPresence>>,
 }
@@ -68,6 +74,7 @@ impl Robot {
     pub(super) async fn start(
         session: Session,
         place: KeySpace,
+        program: Option<Name>,
         router: Option<Config>,
     ) -> Result<Self, Error> {
         let direct = router.is_none();
@@ -85,6 +92,9 @@ impl Robot {
             let links = RouterLinks::follow(&session, &place, &Handle::current())?;
             (None, Some(links))
         };
+        let program = ProgramPresence::new(place.clone(), program, rand::random(), direct);
+        let executor = Executor::new(&session, program, WarningSink);
+        let program = executor.start(&Handle::current())?;
         let decoder = Decoder::new(&session, &place);
         let counting = Arc::default();
         let inner = Inner {
@@ -98,7 +108,9 @@ impl Robot {
             warnings: Warnings::new(Arc::clone(&counting)),
             counting,
             router_links,
+            catalogues: Catalogues::default(),
             direct,
+            program,
             _presence: presence,
         };
         Ok(Self {

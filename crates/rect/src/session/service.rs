@@ -3,21 +3,29 @@ use std::{
     fmt,
     future::Future,
     pin::Pin,
-    sync::Arc,
+    sync::{
+        atomic::{AtomicBool, Ordering},
+        Arc, Weak,
+    },
     task::{Context, Poll},
     time::Duration,
 };
 
 use futures_core::Stream;
 use rect_core::{
+    catalogue::{
+        registration::{Registered, Registration},
+        ServiceEntry,
+    },
     driver::Answer,
     message::{
+        encoding::Encoding,
         payload::{Payload, ToPayload},
         queue::{Queue, WhenFull},
         request::error_to_payload,
     },
     name::{topic::Topic, Name},
-    session::service::{busy, Requester, CAPACITY, MAX_CONCURRENT},
+    session::service::{busy, Requester, ServiceQuery, CAPACITY, MAX_CONCURRENT},
 };
 use tokio::{sync::Semaphore, task::JoinHandle, time::Instant};
 use zenoh::{
@@ -28,10 +36,12 @@ use zenoh::{
 
 use super::{
     decoder::Decoder,
+    executor::Executor,
     next_item::NextItem,
     queries,
     receive_queue::{QueueWriter, ReceiveQueue},
-    robot::Robot,
+    robot::{Inner, Robot},
+    shared::NoItems,
 };
 use crate::error::{valid, Error};
 
@@ -41,6 +51,35 @@ pub struct Requests {
     arriving: Arriving,
     next: NextItem<Request>,
     _declared: Queryable<()>,
+    _serving: Serving,
+}
+
+/// A service in the catalogue. Dropping it removes it.
+struct Serving {
+    inner: Arc<Inner>,
+    topic: Topic,
+}
+
+/// The description of a service, and whether it may have company.
+#[derive(Clone, Debug, Default)]
+pub struct ServiceOptions {
+    /// The purpose of the service, for `rect service list` and the dashboard: at most 200 characters. Default: empty.
+    pub about: String,
+    /// Whether other programs of the robot may serve the same topic, which then have to allow it, too. Each of them answers every
+    /// request. Default: no.
+    pub allow_several: bool,
+}
+
+/// Ends a service if its robot's router refuses to register it again, because another program serves the topic.
+async fn end_if_refused(inner: Weak<Inner>, queue: Arc<ReceiveQueue<Request>>, topic: Topic) {
+    let Some(inner) = inner.upgrade() else { return };
+    let registration = Registration::new(&inner.place, inner.program.driver().program());
+    let executor = Executor::new(&inner.session, registration, NoItems);
+    if !queue.is_closed() && matches!(executor.run().await, Ok(Registered::Refused(_))) {
+        queue.close();
+        inner.program.driver().on_taken_over(&topic);
+        inner.program.wake();
+    }
 }
 
 /// The requests that the program has not read.
@@ -84,20 +123,60 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Topic`] if the topic is invalid, and [`Error::Closed`] if the session is closed.
+    /// [`Error::Topic`] if the topic is invalid, [`Error::ServiceRefused`] if a program of this robot serves it already, and
+    /// [`Error::Closed`] if the session is closed.
     ///
     /// # Cancel safety
-    /// The call is complete when its future is polled for the first time, which `.await` does.
+    /// If the future is dropped, there is no service.
     pub async fn requests(
         &self,
         topic: impl TryInto<Topic, Error: Into<Error>>,
     ) -> Result<Requests, Error> {
+        self.requests_with(topic, ServiceOptions::default()).await
+    }
+
+    /// Does the same as [`requests`](Self::requests), with a description of the service and other options.
+    ///
+    /// # Errors
+    /// Returns the same errors.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, there is no service.
+    pub async fn requests_with(
+        &self,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
+        options: ServiceOptions,
+    ) -> Result<Requests, Error> {
+        let topic: Topic = valid(topic)?;
+        let serving = self.announce(&topic, &options).await?;
         let place = self.inner.place.clone();
-        let key = place.publication(&valid(topic)?);
+        let key = place.publication(&topic);
         let queue = ReceiveQueue::new(Queue::new(CAPACITY, WhenFull::DropNewest));
         let writer = QueueWriter::new(&queue);
         let key_of_answers = key.clone();
+        let instance = self.inner.program.driver().program().instance;
+        let (inner, of) = (Arc::downgrade(&self.inner), topic.clone());
+        let (queue_of_service, runtime) = (queue.clone(), self.inner.runtime.clone());
+        let checking = Arc::new(AtomicBool::new(false));
         let on_query = move |query: Query| {
+            match ServiceQuery::of(query.parameters().as_str(), instance) {
+                ServiceQuery::Request if !queue_of_service.is_closed() => {}
+                ServiceQuery::Ping => {
+                    let key = key_of_answers.clone();
+                    let payload = Payload::new("", Encoding::BYTES);
+                    return queries::answer(&query, Answer::Reply { key, payload });
+                }
+                ServiceQuery::TakenOver if !checking.swap(true, Ordering::Relaxed) => {
+                    let check = end_if_refused(inner.clone(), queue_of_service.clone(), of.clone());
+                    let checking = checking.clone();
+                    runtime.spawn(async move {
+                        check.await;
+                        checking.store(false, Ordering::Relaxed);
+                    });
+                    return;
+                }
+                _ => return,
+            }
             let request = Request::new(query, place.robot.clone(), key_of_answers.clone());
             // Any other query ends without a reply.
             let Some(request) = request else { return };
@@ -121,7 +200,34 @@ impl Robot {
             },
             next: NextItem::default(),
             _declared: declared,
+            _serving: serving,
         })
+    }
+
+    /// Adds a service to the catalogue.
+    async fn announce(&self, topic: &Topic, options: &ServiceOptions) -> Result<Serving, Error> {
+        let inner = &self.inner;
+        let service = ServiceEntry::new(topic.clone(), &options.about, options.allow_several);
+        let refused = |reason| Error::ServiceRefused { reason };
+        let program = inner.program.driver().offer(&service).map_err(refused)?;
+        let serving = Serving {
+            inner: inner.clone(),
+            topic: topic.clone(),
+        };
+        let registered = if inner.direct {
+            Registered::Unanswered
+        } else {
+            let registration = Registration::new(&inner.place, &program);
+            let executor = Executor::new(&inner.session, registration, NoItems);
+            match executor.run().await? {
+                Registered::Refused(reason) => return Err(refused(reason)),
+                Registered::Closed => return Err(Error::Closed),
+                registered => registered,
+            }
+        };
+        (inner.program.driver()).on_served(service, &program, registered);
+        inner.program.wake();
+        Ok(serving)
     }
 
     /// Declares the service `topic`, and replies to each request with the result of `answer`, until the returned
@@ -143,7 +249,7 @@ impl Robot {
     /// Returns the same errors as [`requests`](Self::requests).
     ///
     /// # Cancel safety
-    /// The call is complete when its future is polled for the first time, which `.await` does.
+    /// If the future is dropped, there is no service.
     pub async fn serve<F, A, V, E>(
         &self,
         topic: impl TryInto<Topic, Error: Into<Error>>,
@@ -155,7 +261,30 @@ impl Robot {
         V: ToPayload + Send,
         E: ToPayload + Send,
     {
-        let requests = self.requests(topic).await?;
+        self.serve_with(topic, ServiceOptions::default(), answer)
+            .await
+    }
+
+    /// Does the same as [`serve`](Self::serve), with a description of the service and other options.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`requests`](Self::requests).
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, there is no service.
+    pub async fn serve_with<F, A, V, E>(
+        &self,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
+        options: ServiceOptions,
+        answer: F,
+    ) -> Result<Service, Error>
+    where
+        F: Fn(Arc<Request>) -> A + Send + Sync + 'static,
+        A: Future<Output = Result<V, E>> + Send,
+        V: ToPayload + Send,
+        E: ToPayload + Send,
+    {
+        let requests = self.requests_with(topic, options).await?;
         let answer = Arc::new(answer);
         let permits = Arc::new(Semaphore::new(MAX_CONCURRENT));
         let task = self.inner.runtime.spawn(async move {
@@ -238,6 +367,13 @@ impl Stream for Requests {
 impl fmt::Debug for Requests {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("Requests").finish_non_exhaustive()
+    }
+}
+
+impl Drop for Serving {
+    fn drop(&mut self) {
+        self.inner.program.driver().on_ended(&self.topic);
+        self.inner.program.wake();
     }
 }
 

@@ -18,7 +18,7 @@ use zenoh::{Config, Session, Wait};
 const AT_ONCE: Duration = Duration::from_secs(5);
 
 /// Starts a stock router with `settings` besides the basic ones.
-fn router(endpoint: &str, settings: &[(&str, Value)]) -> Session {
+pub fn router(endpoint: &str, settings: &[(&str, Value)]) -> Session {
     let mut config = Config::default();
     let base = [
         ("mode", json!("router")),

@@ -6,6 +6,7 @@ mod blocked_link;
 mod blocking;
 mod codec;
 mod joining;
+mod program;
 mod request;
 mod session;
 mod state;

@@ -6,11 +6,12 @@ use std::{
 };
 
 use rect_core::{
+    catalogue::{self, token::Token, Instance, ServiceEntry, REGISTER},
     message::attachment::{Attachment, Sent},
-    name::Name,
+    name::{key::KeySpace, topic::Topic, Name},
 };
 use serde_json::json;
-use zenoh::{bytes::Encoding, query::Query, Session, Wait};
+use zenoh::{bytes::Encoding, liveliness::LivelinessToken, query::Query, Session, Wait};
 
 use super::Failure;
 use crate::registry::now_s;
@@ -19,6 +20,8 @@ use crate::registry::now_s;
 const PUBLISH_INTERVAL: Duration = Duration::from_secs(1);
 /// State of the battery. A text, because the order of the fields of a JSON value depends on features of the build.
 const BATTERY: &str = r#"{"volts":12.4,"percent":83}"#;
+/// Timeout for the registration of the program.
+const REGISTRATION_TIMEOUT: Duration = Duration::from_secs(10);
 /// Timeout for the liveliness tokens of the other robots.
 const TOKENS_TIMEOUT: Duration = Duration::from_secs(2);
 
@@ -27,6 +30,7 @@ pub struct Program {
     session: Session,
     fleet: Name,
     publishing: Option<(Sender<()>, JoinHandle<()>)>,
+    _token: Option<LivelinessToken>,
 }
 
 impl Program {
@@ -43,13 +47,12 @@ impl Program {
         let publishing = active
             .then(|| publish(&session, fleet, robot))
             .transpose()?;
-        if active {
-            serve(&session, fleet, robot)?;
-        }
+        let token = active.then(|| serve(&session, fleet, robot)).transpose()?;
         Ok(Self {
             session,
             fleet: fleet.clone(),
             publishing,
+            _token: token,
         })
     }
 
@@ -119,7 +122,9 @@ fn publish(
     Ok((stop, thread))
 }
 
-fn serve(session: &Session, fleet: &Name, robot: &str) -> Result<(), Failure> {
+/// Serves the state of the battery until the session is closed.
+fn serve(session: &Session, fleet: &Name, robot: &str) -> Result<LivelinessToken, Failure> {
+    let token = announce(session, fleet, robot)?;
     let key = format!("{fleet}/{robot}/battery");
     let key_of_answer = key.clone();
     let answer = move |query: Query| {
@@ -129,7 +134,46 @@ fn serve(session: &Session, fleet: &Name, robot: &str) -> Result<(), Failure> {
         // Sending fails if the requester has disconnected.
         let _ = reply.wait();
     };
-    let queryable = session.declare_queryable(key).callback(answer);
+    let queryable = session.declare_queryable(key).complete(true);
+    let queryable = queryable.callback(answer);
     queryable.background().wait()?;
-    Ok(())
+    Ok(token)
+}
+
+/// Adds the program to the catalogue of its robot, as the library does. It stays there until the session is closed.
+fn announce(session: &Session, fleet: &Name, robot: &str) -> Result<LivelinessToken, Failure> {
+    let place = KeySpace {
+        fleet: fleet.clone(),
+        robot: Name::new(robot)?,
+    };
+    let battery = ServiceEntry::new(Topic::new("battery")?, "the voltage and the charge", false);
+    let id = session.zid().to_le_bytes();
+    let program = catalogue::Program {
+        name: Some(Name::new("arm")?),
+        instance: Instance(u32::from_le_bytes([id[0], id[1], id[2], id[3]])),
+        services: vec![battery],
+    };
+    let token = Token {
+        robot: place.robot.clone(),
+        program: program.name.clone(),
+        instance: program.instance,
+        revision: 0,
+    };
+    let key = place.own(Some(&place.robot), REGISTER);
+    let deadline = Instant::now() + REGISTRATION_TIMEOUT;
+    // The router may answer a moment before it keeps a catalogue.
+    while session
+        .get(&key)
+        .payload(program.to_json())
+        .wait()?
+        .recv()
+        .is_err()
+    {
+        if Instant::now() > deadline {
+            return Err(format!("the router of {robot} keeps no catalogue").into());
+        }
+        thread::sleep(Duration::from_millis(50));
+    }
+    let token = session.liveliness().declare_token(token.key(fleet));
+    token.wait()
 }

@@ -211,6 +211,12 @@ impl Describe for Event {
         match self {
             Self::PeerUp { robot } => json!(["peer_up", robot.as_str()]),
             Self::PeerDown { robot } => json!(["peer_down", robot.as_str()]),
+            Self::ProgramUp { robot, program } => {
+                json!(["program_up", robot.as_str(), program.as_str()])
+            }
+            Self::ProgramDown { robot, program } => {
+                json!(["program_down", robot.as_str(), program.as_str()])
+            }
             Self::LinkUp(up) => link("link_up", up),
             Self::LinkDown(down) => link("link_down", down),
             Self::PathSwitched { link, path, reason } => json!([

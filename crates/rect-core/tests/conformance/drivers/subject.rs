@@ -3,6 +3,7 @@ use std::time::{Duration, Instant};
 
 use bytes::Bytes;
 use rect_core::{
+    catalogue::Instance,
     codec::CodecError,
     driver::{Driver, Event, Id, QueryId, Sample},
     message::{encoding::Encoding, payload::Payload, urgency::Urgency},
@@ -190,7 +191,11 @@ fn make(driver: &Value, now: Instant) -> Box<dyn Described> {
             of("action"),
             of("argument").to_owned(),
         )),
-        "observer" => plain(Observer::new(place, driver["is_direct"] == true)),
+        "observer" => plain(Observer::new(
+            place,
+            Instance(0),
+            driver["is_direct"] == true,
+        )),
         "router_observer" => plain(RouterObserver::new(&place)),
         "dictionary_fetch" => {
             let error = CodecError::Dictionary {

@@ -1,0 +1,243 @@
+//! Drives the question what a robot offers. An answer is kept as long as the robot's programs have the same tokens, so that nothing
+//! crosses the air to ask again.
+use std::{
+    collections::{BTreeMap, BTreeSet},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::{Duration, Instant},
+};
+
+use super::{RegistryError, RegistryQuery};
+use crate::{
+    catalogue::{
+        token::{self, Token},
+        Instance, CATALOGUE, MAX_PROGRAMS,
+    },
+    driver::{Action, Driver, Event, Get, Id, Reaction, Step},
+    message::payload::Payload,
+    name::{key::KeySpace, Name},
+};
+
+/// The timeout of the question for the tokens, which the program's own router answers.
+const TIMEOUT: Duration = Duration::from_secs(2);
+/// The maximum number of robots whose catalogue is kept.
+const MAX_KEPT: usize = 64;
+const TOKENS: Id = Id(0);
+
+/// The programs of a robot, each with the revision of what it serves.
+type Revisions = BTreeSet<(Instance, u32)>;
+
+/// The last catalogues of robots. Clones share them.
+#[derive(Clone, Debug, Default)]
+pub struct Catalogues(Arc<Mutex<BTreeMap<Name, (Revisions, Payload)>>>);
+
+/// The question to one robot. Finishes with the JSON of its catalogue.
+#[derive(Debug)]
+pub struct CatalogueQuery {
+    kept: Catalogues,
+    place: KeySpace,
+    robot: Name,
+    revisions: Revisions,
+    state: State,
+}
+
+#[derive(Debug)]
+enum State {
+    AskTokens,
+    AskingTokens,
+    Asking(Box<RegistryQuery>),
+    Answered(Payload),
+    Closed,
+}
+
+impl Catalogues {
+    /// Creates the question of a program of the robot of `place` to `robot`.
+    pub fn query(&self, place: KeySpace, robot: Name) -> CatalogueQuery {
+        // The own router answers without bytes on the air, and before the revision is announced.
+        let state = match robot == place.robot {
+            true => State::ask(&place, &robot),
+            false => State::AskTokens,
+        };
+        CatalogueQuery {
+            kept: self.clone(),
+            place,
+            robot,
+            revisions: Revisions::new(),
+            state,
+        }
+    }
+
+    /// Returns the catalogue of a robot, if it is that of these revisions. A robot without programs may be one that cannot be reached.
+    fn get(&self, robot: &Name, revisions: &Revisions) -> Option<Payload> {
+        let kept = self.lock();
+        let (of, catalogue) = kept.get(robot)?;
+        (!revisions.is_empty() && of == revisions).then(|| catalogue.clone())
+    }
+
+    fn keep(&self, robot: &Name, revisions: Revisions, catalogue: &Payload) {
+        let mut kept = self.lock();
+        if kept.len() >= MAX_KEPT && !kept.contains_key(robot) {
+            kept.clear();
+        }
+        kept.insert(robot.clone(), (revisions, catalogue.clone()));
+    }
+
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<Name, (Revisions, Payload)>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl State {
+    fn ask(place: &KeySpace, robot: &Name) -> Self {
+        let query = RegistryQuery::new(place.clone(), robot.clone(), CATALOGUE, "");
+        Self::Asking(Box::new(query))
+    }
+}
+
+impl CatalogueQuery {
+    fn on_token(&mut self, key: &str) {
+        let token = Token::parse(&self.place, key).filter(|token| token.robot == self.robot);
+        if self.revisions.len() < 2 * MAX_PROGRAMS {
+            let revision = |token: Token| (token.instance, token.revision);
+            self.revisions.extend(token.map(revision));
+        }
+    }
+}
+
+impl Driver for CatalogueQuery {
+    type Item = std::convert::Infallible;
+    type Output = Result<Payload, RegistryError>;
+
+    fn on_event(&mut self, now: Instant, event: Event) -> Reaction<Self::Item> {
+        match (&mut self.state, event) {
+            (State::Asking(query), event) => return query.on_event(now, event),
+            (_, Event::Closed) => self.state = State::Closed,
+            (State::AskingTokens, Event::Reply { reply, .. }) => {
+                if let Ok(sample) = reply {
+                    self.on_token(&sample.key);
+                }
+                return Reaction::NONE;
+            }
+            (State::AskingTokens, Event::Ended { .. }) => {
+                self.state = match self.kept.get(&self.robot, &self.revisions) {
+                    Some(catalogue) => State::Answered(catalogue),
+                    None => State::ask(&self.place, &self.robot),
+                };
+            }
+            _ => return Reaction::NONE,
+        }
+        Reaction::POLL
+    }
+
+    fn poll(&mut self, now: Instant) -> Step<Self::Item, Self::Output> {
+        match &mut self.state {
+            State::AskTokens => {
+                self.state = State::AskingTokens;
+                let tokens = token::tokens(&self.place, Some(&self.robot));
+                let get = Get::liveliness(tokens, TIMEOUT);
+                Step::Act(Action::Get { id: TOKENS, get })
+            }
+            State::AskingTokens => Step::Wait(None),
+            State::Asking(query) => {
+                let step = query.poll(now);
+                if let Step::Finished(Ok(catalogue)) = &step {
+                    let revisions = std::mem::take(&mut self.revisions);
+                    self.kept.keep(&self.robot, revisions, catalogue);
+                }
+                step
+            }
+            State::Answered(catalogue) => Step::Finished(Ok(catalogue.clone())),
+            State::Closed => Step::Finished(Err(RegistryError::Closed)),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{driver::Sample, message::encoding::Encoding};
+
+    fn name(text: &str) -> Name {
+        Name::new(text).expect("valid name")
+    }
+
+    fn sample(key: &str, payload: &'static str) -> Sample {
+        Sample {
+            key: key.to_owned(),
+            payload: Payload::new(payload, Encoding::JSON),
+            is_deleted: false,
+            attachment: None,
+        }
+    }
+
+    /// Asks for the catalogue while these are the tokens. Returns what it is, and whether the robot's router was asked.
+    fn ask(
+        catalogues: &Catalogues,
+        tokens: &[&str],
+        answer: &'static str,
+    ) -> (Result<String, RegistryError>, bool) {
+        let place = KeySpace {
+            fleet: name("rect"),
+            robot: name("laptop"),
+        };
+        let (mut query, now) = (catalogues.query(place, name("wombat-1")), Instant::now());
+        let mut is_asked = false;
+        loop {
+            match query.poll(now) {
+                Step::Act(Action::Get { id: TOKENS, .. }) => {
+                    for token in tokens {
+                        let reply = Ok(sample(&format!("rect/wombat-1/@rect/p/{token}"), ""));
+                        let _ = query.on_event(now, Event::Reply { id: TOKENS, reply });
+                    }
+                    let _ = query.on_event(now, Event::Ended { id: TOKENS });
+                }
+                Step::Act(Action::Get { id, .. }) => {
+                    is_asked = true;
+                    let reply = Ok(sample("rect/wombat-1/@rect/catalogue", answer));
+                    let _ = query.on_event(now, Event::Reply { id, reply });
+                }
+                Step::Finished(found) => {
+                    let text = |found: Payload| String::from_utf8_lossy(&found.bytes).into_owned();
+                    return (found.map(text), is_asked);
+                }
+                step => panic!("{step:?}"),
+            }
+        }
+    }
+
+    #[test]
+    fn catalogue_is_kept_until_a_revision_changes() {
+        let catalogues = Catalogues::default();
+        let (arm, later) = ("arm/0000001f/0", "arm/0000001f/1");
+        assert_eq!(ask(&catalogues, &[arm], "one"), (Ok("one".into()), true));
+        assert_eq!(ask(&catalogues, &[arm], "two"), (Ok("one".into()), false));
+        assert_eq!(ask(&catalogues, &[later], "two"), (Ok("two".into()), true));
+        let another = [later, "~/00000020/0"];
+        let found = ask(&catalogues, &another, "three");
+        assert_eq!(found, (Ok("three".into()), true));
+    }
+
+    #[test]
+    fn robot_without_programs_is_asked_each_time() {
+        let catalogues = Catalogues::default();
+        assert_eq!(ask(&catalogues, &[], "[]"), (Ok("[]".into()), true));
+        assert_eq!(ask(&catalogues, &[], "[]"), (Ok("[]".into()), true));
+    }
+
+    #[test]
+    fn wrong_tokens_count_for_nothing() {
+        let catalogues = Catalogues::default();
+        let _ = ask(&catalogues, &["arm/zz/0", "a/b/c/d"], "one");
+        assert_eq!(catalogues.lock()[&name("wombat-1")].0, Revisions::new());
+    }
+
+    #[test]
+    fn catalogues_of_a_bounded_number_of_robots_are_kept() {
+        let catalogues = Catalogues::default();
+        for number in 0..2 * MAX_KEPT {
+            let robot = name(&format!("wombat-{number}"));
+            let answer = Payload::new("[]", Encoding::JSON);
+            catalogues.keep(&robot, Revisions::new(), &answer);
+            assert!(catalogues.lock().len() <= MAX_KEPT);
+        }
+    }
+}

@@ -1,0 +1,150 @@
+//! Exposes the presence of a program, and the catalogues of robots.
+use std::sync::{Arc, Mutex};
+
+use pyo3::prelude::*;
+use rect_core::{
+    catalogue::{
+        self, presence,
+        registration::{Registered, Registration},
+        Program, ServiceEntry,
+    },
+    registry::catalogue_query,
+};
+
+use crate::{
+    clock::Clock,
+    driver::{lock, Driver},
+    errors::raised,
+    key_space::{name, topic, KeySpace},
+};
+
+/// The presence of this program.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct ProgramPresence {
+    core: Arc<Mutex<presence::ProgramPresence>>,
+    clock: Clock,
+}
+
+/// The last catalogues of robots.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct Catalogues(catalogue_query::Catalogues);
+
+/// A service that the program would like to provide.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct OfferedService {
+    entry: ServiceEntry,
+    program: Program,
+}
+
+/// The topic of a service, its description, and whether other programs may serve the topic, too.
+type EntryParts = (String, String, bool);
+/// The name of a program, its instance and its services.
+type ProgramParts = (Option<String>, String, Vec<EntryParts>);
+
+#[pymethods]
+impl Catalogues {
+    #[new]
+    fn new() -> Self {
+        Self(catalogue_query::Catalogues::default())
+    }
+
+    /// Creates the question for the catalogue of a robot.
+    fn query(&self, key_space: &KeySpace, robot: &str) -> PyResult<Driver> {
+        let query = self.0.query(key_space.0.clone(), name(robot)?);
+        Ok(Driver::new(query, &Clock::new()))
+    }
+}
+
+#[pymethods]
+impl ProgramPresence {
+    /// Creates the presence of a program, which may have no name. `instance` is a random number.
+    #[new]
+    fn new(
+        key_space: &KeySpace,
+        program: Option<&str>,
+        instance: u32,
+        is_direct: bool,
+    ) -> PyResult<Self> {
+        let program = program.map(name).transpose()?;
+        let place = key_space.0.clone();
+        let core = presence::ProgramPresence::new(place, program, instance, is_direct);
+        Ok(Self {
+            core: Arc::new(Mutex::new(core)),
+            clock: Clock::new(),
+        })
+    }
+
+    /// Returns the driver to execute.
+    fn driver(&self) -> Driver {
+        Driver::shared(&self.core, &self.clock)
+    }
+
+    /// Begins to offer a service. Raises `ServiceRefused`.
+    fn offer(
+        &self,
+        py: Python<'_>,
+        topic: &str,
+        about: &str,
+        several: bool,
+    ) -> PyResult<OfferedService> {
+        let entry = ServiceEntry::new(self::topic(topic)?, about, several);
+        let program = lock(&self.core).offer(&entry);
+        match program {
+            Ok(program) => Ok(OfferedService { entry, program }),
+            Err(reason) => Err(raised(py, "ServiceRefused", (reason,))),
+        }
+    }
+
+    /// Creates the registration of the program with that service at its router.
+    fn registration(&self, key_space: &KeySpace, offered: &OfferedService) -> Driver {
+        let registration = Registration::new(&key_space.0, &offered.program);
+        Driver::new(registration, &Clock::new())
+    }
+
+    /// Handles that the program provides a service from now on. `is_registered`: its router keeps it, and may have a warning.
+    fn on_served(&self, offered: &OfferedService, is_registered: bool, warning: Option<String>) {
+        let registered = match is_registered {
+            true => Registered::Accepted(warning),
+            false => Registered::Unanswered,
+        };
+        lock(&self.core).on_served(offered.entry.clone(), &offered.program, registered);
+    }
+
+    /// Creates the registration of the program as it is, which its router may refuse.
+    fn renewal(&self, key_space: &KeySpace) -> Driver {
+        let registration = Registration::new(&key_space.0, lock(&self.core).program());
+        Driver::new(registration, &Clock::new())
+    }
+
+    /// Handles that another program serves a topic, because this one did not answer.
+    fn on_taken_over(&self, topic: &str) -> PyResult<()> {
+        lock(&self.core).on_taken_over(&self::topic(topic)?);
+        Ok(())
+    }
+
+    /// Handles that a service has ended.
+    fn on_ended(&self, topic: &str) -> PyResult<()> {
+        lock(&self.core).on_ended(&self::topic(topic)?);
+        Ok(())
+    }
+}
+
+/// Returns the name of a program whose script is `file`, or nothing if that says nothing about it.
+#[pyfunction]
+pub fn program_name(file: &str) -> Option<String> {
+    catalogue::program_name(file).map(|name| name.to_string())
+}
+
+/// Reads the catalogue of a robot. Raises `PayloadError`.
+#[pyfunction]
+pub fn read_catalogue(py: Python<'_>, bytes: &[u8]) -> PyResult<Vec<ProgramParts>> {
+    let programs = catalogue::read(bytes)
+        .map_err(|error| raised(py, "PayloadError", (error.to_string(), "read")))?;
+    let parts = |entry: ServiceEntry| (entry.topic.to_string(), entry.about, entry.several);
+    let programs = programs.into_iter().map(|program| {
+        let name = program.name.map(|name| name.to_string());
+        let services = program.services.into_iter().map(parts);
+        (name, program.instance.to_string(), services.collect())
+    });
+    Ok(programs.collect())
+}

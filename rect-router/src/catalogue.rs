@@ -1,0 +1,160 @@
+//! Serves the catalogue of the robot's programs: `<fleet>/<robot>/@rect/catalogue` (docs/reference/registry.md).
+use std::{
+    sync::{
+        mpsc::{self, Receiver, TrySendError},
+        Arc,
+    },
+    thread,
+    time::{Duration, Instant},
+};
+
+use parking_lot::Mutex;
+use rect_core::{
+    catalogue::{
+        keeper::{Keeper, Refused},
+        token::{tokens, Token},
+        Instance, Program, CATALOGUE, REGISTER,
+    },
+    name::{key::KeySpace, topic::Topic},
+    session::service::{taken_over, PING},
+};
+use serde::Serialize;
+use zenoh::{
+    bytes::ZBytes,
+    query::{Query, QueryTarget},
+    sample::{Sample, SampleKind},
+    Session, Wait,
+};
+
+use crate::reply::reply;
+
+/// How long a program that serves a topic may take to answer before another one takes it over.
+const PING_TIMEOUT: Duration = Duration::from_secs(1);
+/// How long the notice that its service has ended may wait for a program that does not answer.
+const TAKEN_OVER_TIMEOUT: Duration = Duration::from_secs(60);
+/// The maximum number of registrations that wait for the one in progress; further ones are answered with an error.
+const MAX_WAITING_QUERIES: usize = 64;
+
+/// Observes the programs of the robot of `place`, and answers until the session is closed.
+///
+/// # Errors
+/// Fails if a queryable or the subscriber cannot be declared.
+pub fn serve(session: &Session, place: &KeySpace) -> zenoh::Result<()> {
+    let keeper = Arc::new(Mutex::new(Keeper::default()));
+    let (of_tokens, observer) = (Arc::clone(&keeper), place.clone());
+    let on_token = move |sample: Sample| {
+        if let Some(token) = Token::parse(&observer, sample.key_expr().as_str()) {
+            let is_up = sample.kind() == SampleKind::Put;
+            of_tokens.lock().on_token(&token, is_up, Instant::now());
+        }
+    };
+    let own = Some(&place.robot);
+    let subscriber = session
+        .liveliness()
+        .declare_subscriber(tokens(place, own))
+        .history(true)
+        .callback(on_token);
+    subscriber.background().wait()?;
+    let registrar = Registrar {
+        session: session.clone(),
+        place: place.clone(),
+        key: place.own(own, REGISTER),
+        keeper: Arc::clone(&keeper),
+    };
+    let key = registrar.key.clone();
+    let (queries, next) = mpsc::sync_channel(MAX_WAITING_QUERIES);
+    thread::Builder::new()
+        .name("catalogue".to_owned())
+        .spawn(move || registrar.run(&next))?;
+    declare(session, key.clone(), move |query| {
+        if let Err(TrySendError::Full(query)) = queries.try_send(query) {
+            let busy = "too many programs are registering: try again".to_owned();
+            reply::<Registered>(&query, &key, Err(busy));
+        }
+    })?;
+    let key = place.own(own, CATALOGUE);
+    declare(session, key.clone(), move |query| {
+        reply(&query, &key, Ok(keeper.lock().programs(Instant::now())));
+    })
+}
+
+fn declare(
+    session: &Session,
+    key: String,
+    on_query: impl Fn(Query) + Send + Sync + 'static,
+) -> zenoh::Result<()> {
+    let queryable = session.declare_queryable(key).callback(on_query);
+    queryable.background().wait()
+}
+
+/// Accepts and refuses registrations, on a thread of its own.
+struct Registrar {
+    session: Session,
+    place: KeySpace,
+    key: String,
+    keeper: Arc<Mutex<Keeper>>,
+}
+
+/// The answer to a registration.
+#[derive(Serialize)]
+struct Registered {
+    /// A problem that the program reports to its user.
+    warning: Option<String>,
+}
+
+impl Registrar {
+    fn run(&self, queries: &Receiver<Query>) {
+        while let Ok(query) = queries.recv() {
+            let payload = query.payload().map(ZBytes::to_bytes).unwrap_or_default();
+            let program = Program::read(&payload).map_err(|error| error.to_string());
+            let registered = program.and_then(|program| self.register(program));
+            let answer = registered.map(|warning| Registered { warning });
+            reply(&query, &self.key, answer);
+        }
+    }
+
+    /// Registers a program. If another one serves one of its topics, that one is asked whether it still answers.
+    fn register(&self, program: Program) -> Result<Option<String>, String> {
+        let register = |program| self.keeper.lock().register(program, Instant::now());
+        let registered = register(program.clone());
+        let registered = match registered {
+            Err(Refused::Served {
+                topic, instance, ..
+            }) if !self.answers(&topic) => {
+                let taken_over = self.keeper.lock().on_silent(instance);
+                self.end_service(&topic, instance);
+                register(program).map(|warning| taken_over.or(warning))
+            }
+            Err(refused) => {
+                // The program may have served it before, and may not have answered for a while.
+                if let Refused::Served { topic, .. } = &refused {
+                    self.end_service(topic, program.instance);
+                }
+                Err(refused)
+            }
+            registered => registered,
+        };
+        registered.map_err(|refused| refused.to_string())
+    }
+
+    /// Notifies a program that another one serves its topic. A program that is stopped reads it when it continues.
+    fn end_service(&self, topic: &Topic, of: Instance) {
+        let notice = format!("{}?{}", self.place.publication(topic), taken_over(of));
+        let notice = self.session.get(notice).timeout(TAKEN_OVER_TIMEOUT);
+        let notice = notice.target(QueryTarget::AllComplete).callback(drop);
+        if let Err(error) = notice.wait() {
+            tracing::debug!("cannot notify a program that its service has ended: {error}");
+        }
+    }
+
+    fn answers(&self, topic: &Topic) -> bool {
+        let ping = format!("{}?{PING}", self.place.publication(topic));
+        let asked = self
+            .session
+            .get(ping)
+            .target(QueryTarget::AllComplete)
+            .timeout(PING_TIMEOUT);
+        let replies = asked.wait().into_iter().flatten();
+        replies.into_iter().any(|reply| reply.result().is_ok())
+    }
+}
