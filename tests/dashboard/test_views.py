@@ -198,6 +198,26 @@ def test_values_are_published_sent_and_requested(page: Page, fleet: Fleet, dashb
         expect(form.get_by_role("status")).to_contain_text("wildcard")
 
 
+def test_services_are_listed_and_requested(page: Page, fleet: Fleet, dashboard: str) -> None:
+    page.goto(f"{dashboard}/#services")
+    with rect.connect("wombat-2", router=fleet.endpoint(1), program="arm") as arm:
+        card = page.get_by_role("region", name="wombat-2", exact=True)
+        row = card.get_by_role("row", name=re.compile("^arm"))
+        expect(row).to_contain_text("serves nothing")
+        service = arm.serve("grab", lambda request: request.value["force"] + 1, about="closes the gripper")
+        expect(row).to_contain_text("closes the gripper")
+        fleet.until_served("wombat-2", "grab")
+        row.get_by_role("button", name="Request wombat-2/grab").click()
+        form = page.get_by_role("form", name="Publish and request")
+        expect(form.get_by_role("combobox", name="Robot")).to_have_value("wombat-2")
+        form.get_by_label("Value, JSON or text").fill('{"force": 3}')
+        form.get_by_role("button", name="Request").click()
+        expect(form.get_by_role("status")).to_contain_text("4 (after")
+        service.close()
+        expect(row).to_contain_text("serves nothing")
+    expect(card).to_be_hidden()
+
+
 def test_view_is_shown_once_so_that_typed_text_is_kept(page: Page, dashboard: str) -> None:
     page.add_init_script("""
         globalThis.views = 0;

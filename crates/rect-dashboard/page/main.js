@@ -8,13 +8,15 @@ import { events } from "./events.js";
 import { fleet } from "./fleet.js";
 import { bytes } from "./format.js";
 import { Link } from "./link.js";
+import { services } from "./services.js";
 import { stopButton } from "./stop.js";
 import { topics } from "./topics.js";
 
-const VIEWS = { fleet, topics, cameras, connections, events };
+const VIEWS = { fleet, topics, services, cameras, connections, events };
 const NAMES = {
   fleet: "Fleet",
   topics: "Topics",
+  services: "Services",
   cameras: "Cameras",
   connections: "Connections",
   events: "Events",

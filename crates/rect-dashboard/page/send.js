@@ -4,8 +4,8 @@ import { h, setText } from "./dom.js";
 import { milliseconds, visible } from "./format.js";
 import { robotField } from "./robots.js";
 
-/** Returns the form. */
-export function sendForm(link, notify) {
+/** Returns the form as an element, and `request(robot, service)`, which fills it in. */
+export function sendForm(link, notify, first = "publish") {
   const kind = h(
     "select",
     { name: "kind", change: update },
@@ -64,6 +64,17 @@ export function sendForm(link, notify) {
     button.disabled = false;
   }
 
+  function request(name, service) {
+    kind.value = "request";
+    robot.input.value = name;
+    topic.value = service;
+    setText(result, "");
+    update();
+    form.scrollIntoView({ block: "nearest" });
+    value.focus({ preventScroll: true });
+  }
+
+  kind.value = first;
   update();
-  return form;
+  return { element: form, request };
 }

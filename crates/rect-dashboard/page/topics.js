@@ -28,7 +28,7 @@ export function topics(link, parent, notify) {
     h("div", { class: "columns" }, h("div", {}, h("div", { class: "row" }, filter, count), empty, list), chosen),
   );
   if (!link.states.hello.read_only) {
-    parent.append(sendForm(link, notify));
+    parent.append(sendForm(link, notify).element);
   }
   let rows = [];
   let closeTopic = null;

@@ -5,7 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::{Connection, ConnectionState, Event, Events, Name, Robot};
+use rect::{Connection, ConnectionState, Event, Events, Name, Program, Robot};
 use rect_core::registry::topics::Topics;
 use rect_recording::report::EventReport;
 use serde_json::Value;
@@ -31,6 +31,8 @@ const OTHERS_EVERY: Duration = Duration::from_secs(15);
 const OWN_TOPICS_EVERY: Duration = Duration::from_secs(3);
 /// How often all routers are asked for topics: an answer has about 45 bytes for each topic.
 const TOPICS_EVERY: Duration = Duration::from_secs(12);
+/// How often the programs of all robots are asked for. Only a change puts something on the air.
+const PROGRAMS_EVERY: Duration = Duration::from_secs(2);
 /// For how long routers count messages after a question.
 const KEEP: Duration = Duration::from_secs(18);
 /// How long a router counts messages before it is asked again for the first time.
@@ -47,6 +49,7 @@ struct RobotRecord {
     asking: bool,
     asked: Option<Instant>,
     connections: Option<Vec<Connection>>,
+    programs: Option<Vec<Program>>,
     status: Option<Value>,
     started_s: Option<u64>,
     /// Why it did not answer.
@@ -77,6 +80,8 @@ struct Observer {
     /// The topics of each robot, as its router has last counted them.
     topics: BTreeMap<String, Topics>,
     asking_topics: JoinSet<FoundTopics>,
+    asking_programs: JoinSet<Vec<(Name, Option<Vec<Program>>)>>,
+    ask_programs_at: Instant,
     ask_topics_at: Instant,
     ask_own_topics_at: Instant,
     connected: bool,
@@ -101,6 +106,8 @@ pub async fn observe(
         asking: JoinSet::new(),
         topics: BTreeMap::new(),
         asking_topics: JoinSet::new(),
+        asking_programs: JoinSet::new(),
+        ask_programs_at: Instant::now(),
         ask_topics_at: Instant::now(),
         ask_own_topics_at: Instant::now(),
         connected: true,
@@ -121,10 +128,12 @@ impl Observer {
                 },
                 Some(Ok(answer)) = self.asking.join_next() => self.on_answer(answer),
                 Some(Ok(found)) = self.asking_topics.join_next() => self.on_topics(found),
+                Some(Ok(found)) = self.asking_programs.join_next() => self.on_programs(found),
                 _ = tick.tick() => {
                     if self.browsers.any() {
                         self.ask();
                         self.ask_for_topics();
+                        self.ask_for_programs();
                         self.show();
                     }
                 }
@@ -152,7 +161,9 @@ impl Observer {
                     record.asked = None;
                 }
             }
-            Event::ProgramUp { .. } | Event::ProgramDown { .. } => {}
+            Event::ProgramUp { .. } | Event::ProgramDown { .. } => {
+                self.ask_programs_at = Instant::now();
+            }
             Event::RouterUp => self.connected = true,
             Event::RouterDown => self.connected = false,
         }
@@ -275,6 +286,35 @@ impl Observer {
         }
     }
 
+    fn ask_for_programs(&mut self) {
+        if !self.asking_programs.is_empty() || Instant::now() < self.ask_programs_at {
+            return;
+        }
+        let own = self.robot.name();
+        let reachable = |(name, record): &(&Name, &RobotRecord)| record.reachable || *name == own;
+        let names: Vec<_> = (self.records.iter().filter(reachable))
+            .map(|(name, _)| name.clone())
+            .collect();
+        let robot = self.robot.clone();
+        self.asking_programs.spawn(async move {
+            let mut found = Vec::new();
+            for name in names {
+                let programs = robot.programs(name.clone()).await.ok();
+                found.push((name, programs));
+            }
+            found
+        });
+    }
+
+    fn on_programs(&mut self, found: Vec<(Name, Option<Vec<Program>>)>) {
+        self.ask_programs_at = Instant::now() + PROGRAMS_EVERY;
+        for (name, programs) in found {
+            if let (Some(record), Some(programs)) = (self.records.get_mut(&name), programs) {
+                record.programs = Some(programs);
+            }
+        }
+    }
+
     fn show_topics(&self, problem: Option<&str>) {
         let rows = self.topics.iter().flat_map(|(robot, topics)| {
             topics.topics.iter().map(move |report| TopicRow {
@@ -301,6 +341,7 @@ impl Observer {
             name: name.to_string(),
             reachable: record.reachable || name == own,
             connections: shown(record.connections.as_deref()),
+            programs: record.programs.as_deref(),
             version: text_of(record.status.as_ref(), "version"),
             started_s: record.started_s,
             problems: problems(record, self.connected || name != own),

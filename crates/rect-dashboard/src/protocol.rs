@@ -6,14 +6,14 @@
 use std::time::SystemTime;
 
 use axum::body::Bytes;
-use rect::Connection;
+use rect::{Connection, Program};
 use rect_core::clock::unix::ms_since_1970;
 use rect_recording::report::EventReport;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 /// The version of these messages. A page of another version reloads itself.
-pub const VERSION: u32 = 4;
+pub const VERSION: u32 = 5;
 /// The kind of a message that contains a [`State`].
 pub const STATE: u8 = 1;
 /// The kind of a message that contains a value of a topic.
@@ -160,7 +160,7 @@ pub enum State<'a> {
     /// The robots of the fleet.
     Fleet {
         /// The robots, in alphabetical order.
-        robots: &'a [RobotState],
+        robots: &'a [RobotState<'a>],
         /// Whether this program is connected to its router.
         connected: bool,
     },
@@ -285,13 +285,15 @@ impl From<Connection> for ShownConnection {
 
 /// A robot of the fleet, as the page shows it.
 #[derive(Clone, Debug, Serialize)]
-pub struct RobotState {
+pub struct RobotState<'a> {
     /// Its name.
     pub name: String,
     /// Whether it can be reached.
     pub reachable: bool,
     /// The connections of its router; `None` until it has answered, and if it has no registry.
     pub connections: Option<Vec<ShownConnection>>,
+    /// Its programs with their services; `None` until its router has told them, and if it keeps no catalogue.
+    pub programs: Option<&'a [Program]>,
     /// The version of its router.
     pub version: Option<String>,
     /// When its router was started, in seconds since 1970 by this computer's clock.
