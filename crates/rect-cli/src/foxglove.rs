@@ -5,6 +5,7 @@ mod input;
 mod listener;
 mod live;
 mod parameters;
+mod services;
 
 use std::{
     net::SocketAddr,
@@ -15,10 +16,10 @@ use std::{
 
 use clap::Args;
 use foxglove::{
-    websocket::{Capability, Parameter},
+    websocket::{service::Service, Capability, Parameter},
     Context, FoxgloveError, WebSocketServer, WebSocketServerHandle,
 };
-use rect::{Pattern, Robot, RobotTopic};
+use rect::{Name, Pattern, Robot};
 use rect_core::registry::topics::{Topics, KEPT};
 use rect_dashboard::topics::query;
 use tokio::{
@@ -33,6 +34,7 @@ use self::{
     listener::Listener,
     live::Live,
     parameters::Parameters,
+    services::{Found, Services},
 };
 use crate::{session::JoinArguments, Done, Failure};
 
@@ -68,9 +70,9 @@ pub struct FoxgloveArguments {
     /// Let viewers publish as this robot, and send messages to others on /to/<robot>/<topic>
     #[arg(long)]
     publish: bool,
-    /// Let viewers send requests to this service; can be repeated
+    /// Let viewers send requests to the services that match, such as wombat-2/battery or '*/**'; can be repeated
     #[arg(long = "service", value_name = "ROBOT/TOPIC")]
-    services: Vec<RobotTopic>,
+    services: Vec<Pattern>,
     #[command(flatten)]
     join: JoinArguments,
 }
@@ -95,9 +97,9 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
         context: Context::new(),
         publishes: input.is_some(),
         listener: Arc::new(Listener::new(send, input)),
-        services: arguments.services,
     };
-    let (mut server, inside) = viewers.start().await?;
+    let mut services = Services::new(robot.clone(), arguments.services);
+    let (mut server, inside) = viewers.start(services.offered()).await?;
     let (current, address) = watch::channel(inside);
     let (ended, mut has_ended) = mpsc::channel(1);
     tokio::spawn(gate.serve(Inside { address, ended }));
@@ -110,14 +112,14 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
         );
     }
     let mut live = Live::new(robot.clone(), viewers.context.clone(), arguments.patterns);
-    let mut asking = JoinSet::<Result<(Vec<(String, Topics)>, Vec<Parameter>), Failure>>::new();
+    let mut asking = JoinSet::<Result<Answers, Failure>>::new();
     let mut tick = interval(UPDATED_EVERY);
     let mut ask_at = Instant::now();
     while !robot.is_closed() {
         tokio::select! {
             Some(event) = events.recv() => live.on_event(event),
             Some(address) = has_ended.recv() => if address == *current.borrow() {
-                match viewers.start().await {
+                match viewers.start(services.offered()).await {
                     Ok((again, address)) => {
                         tracing::warn!("the server for viewers has ended, and was started again");
                         std::mem::replace(&mut server, again).stop().detach_all();
@@ -127,12 +129,15 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
                 }
             },
             Some(found) = asking.join_next() => match found? {
-                Ok((found, parameters)) => {
+                Ok(Answers { topics: found, parameters, services: served }) => {
                     // The first question makes a router count messages.
                     let counts = found.iter().all(|(_, topics)| topics.window_s > 0.0);
                     ask_at = Instant::now() + if counts { ASKED_EVERY } else { COUNTED };
                     live.on_topics(&found);
-                    server.publish_connection_graph(live.graph())?;
+                    services.on_found(served, &server)?;
+                    let mut graph = live.graph();
+                    services.add_to(&mut graph);
+                    server.publish_connection_graph(graph)?;
                     server.publish_parameter_values(parameters);
                 }
                 Err(error) => {
@@ -146,8 +151,14 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
         if server.client_count() > 0 && asking.is_empty() && Instant::now() >= ask_at {
             let robot = robot.clone();
             asking.spawn(async move {
-                let found = query(&robot, None, None, KEPT).await?;
-                Ok((found, parameters::all(&robot).await?))
+                let topics = query(&robot, None, None, KEPT).await?;
+                let names = topics.iter().map(|(robot, _)| Name::new(robot));
+                let robots: Vec<_> = names.filter_map(Result::ok).collect();
+                Ok(Answers {
+                    services: services::find(&robot, robots).await?,
+                    parameters: parameters::all(&robot).await?,
+                    topics,
+                })
             });
         }
         live.update().await?;
@@ -156,13 +167,19 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
     Ok(ExitCode::FAILURE)
 }
 
+/// The answers of the routers.
+struct Answers {
+    topics: Vec<(String, Topics)>,
+    parameters: Vec<Parameter>,
+    services: Found,
+}
+
 /// The offer of the server to viewers.
 struct Viewers {
     robot: Robot,
     context: Arc<Context>,
     listener: Arc<Listener>,
     publishes: bool,
-    services: Vec<RobotTopic>,
 }
 
 impl Viewers {
@@ -170,12 +187,15 @@ impl Viewers {
     ///
     /// # Errors
     /// Fails if the system has no port for it.
-    async fn start(&self) -> Result<(WebSocketServerHandle, SocketAddr), FoxgloveError> {
-        let mut capabilities = vec![Capability::ConnectionGraph];
+    async fn start(
+        &self,
+        services: Vec<Service>,
+    ) -> Result<(WebSocketServerHandle, SocketAddr), FoxgloveError> {
+        // A service may be found later.
+        let mut capabilities = vec![Capability::ConnectionGraph, Capability::Services];
         if self.publishes {
             capabilities.push(Capability::ClientPublish);
         }
-        let services = self.services.iter().cloned();
         let address = gate::hidden_address();
         let server = WebSocketServer::new()
             .name(format!("RECT, fleet {}", self.robot.fleet()))
@@ -183,7 +203,7 @@ impl Viewers {
             .context(&self.context)
             .capabilities(capabilities)
             .supported_encodings(["json"])
-            .services(services.map(|service| input::service(&self.robot, service)))
+            .services(services)
             .parameter_handler(Arc::new(Parameters::new(self.robot.clone())))
             .message_backlog_size(BACKLOG)
             .listener(self.listener.clone())

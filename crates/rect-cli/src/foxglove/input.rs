@@ -1,18 +1,10 @@
-//! Publishes what viewers send, and offers them services.
+//! Publishes what viewers send.
 
-use foxglove::{
-    websocket::{
-        service::{Request, Service, ServiceSchema},
-        Client, ClientChannel, Status,
-    },
-    Schema,
-};
-use rect::{Name, Payload, Robot, RobotTopic, Topic};
+use foxglove::websocket::{Client, ClientChannel, Status};
+use rect::{Name, Payload, Robot, Topic};
 use rect_core::text::display::line;
 use rect_recording::view;
 use tokio::sync::mpsc::{self, Receiver, Sender};
-
-use crate::Failure;
 
 /// Number of messages of viewers that wait at most.
 const WAITING: usize = 64;
@@ -96,30 +88,4 @@ async fn send(robot: &Robot, topic: &str, payload: Payload) -> Result<(), rect::
     let own = topic.strip_prefix(robot.name().as_str());
     let topic = own.and_then(|rest| rest.strip_prefix('/')).unwrap_or(topic);
     robot.publish(Topic::new(topic)?, payload).await
-}
-
-/// Returns a service for viewers that sends requests to a service of a robot.
-pub fn service(robot: &Robot, service: RobotTopic) -> Service {
-    let name = format!("/{}/{}", service.robot, service.topic);
-    let object = || Schema::new("object", "jsonschema", br#"{"type":"object"}"#.as_slice());
-    let schema = ServiceSchema::new(&name)
-        .with_request("json", object())
-        .with_response("json", object());
-    let robot = robot.clone();
-    Service::builder(name, schema).async_handler_fn(move |request| {
-        let (robot, service) = (robot.clone(), service.clone());
-        async move { answer(&robot, &service, &request).await }
-    })
-}
-
-async fn answer(
-    robot: &Robot,
-    service: &RobotTopic,
-    request: &Request,
-) -> Result<Vec<u8>, Failure> {
-    let payload = view::payload(request.payload())?;
-    let (asked, topic) = (service.robot.clone(), &service.topic);
-    let asked = robot.request::<Payload>(asked, topic, payload);
-    let reply = asked.await?;
-    Ok(view::object(&reply.payload).to_string().into_bytes())
 }
