@@ -5,6 +5,7 @@ A comment stands directly before its block:
     <!-- run -->                  the commands succeed; they run in the page's folder, one block after another
     <!-- run: background -->      the commands run until the next `<!-- stop -->` or the end of the page
     <!-- stop -->                 ends the background commands, as Ctrl-C does (needs no block)
+    <!-- stop: last -->           ends only the background commands that were started last
     <!-- output -->               the last commands print these lines in this order; `...` stands for any text
     <!-- part of: FILE -->        the lines are in this file, in this order; the file is tested elsewhere
     <!-- tested by: FILE -->      the test in FILE reads this block; in the first line of a page: all its blocks

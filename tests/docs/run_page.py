@@ -34,6 +34,8 @@ def run(page: Page, folder: Path, session: Session) -> None:
             try:
                 if isinstance(step, Block):
                     _run_block(step, folder, session)
+                elif step.rest == "last":
+                    session.stop_last()
                 else:
                     session.stop()
             except AssertionError as error:

@@ -54,7 +54,11 @@ class Session:
     def stop(self) -> None:
         """Ends the background commands, the last one first, and checks that none of them had failed before."""
         while self._background:
-            self._background.pop().interrupt()
+            self.stop_last()
+
+    def stop_last(self) -> None:
+        """Ends the background commands that were started last, and checks that they had not failed before."""
+        self._background.pop().interrupt()
 
 
 class _Command:
