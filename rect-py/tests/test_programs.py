@@ -201,7 +201,7 @@ sys.stdin.read()
 def test_service_is_not_ended_by_another_program(routers: Routers) -> None:
     with routers.connect("wombat-1", "arm") as arm, routers.connect("wombat-2") as other:
         arm.serve("grab", lambda request: "arm")
-        until_served(other, "wombat-1", "grab")
+        until_catalogue(other, [("arm", ["grab"])], "wombat-1")
         [program] = other.programs("wombat-1")
         # The query with which the router of a robot tells a program that another one serves its topic.
         assert list(other.zenoh.get(f"rect/wombat-1/grab?@taken={program.instance}")) == []

@@ -30,6 +30,8 @@ use crate::reply::reply;
 
 /// How long a program that serves a topic may take to answer before another one takes it over.
 const PING_TIMEOUT: Duration = Duration::from_secs(1);
+/// The pause before a program is asked again whose service nobody serves.
+const PING_PAUSE: Duration = Duration::from_millis(50);
 /// How long the notice that its service has ended may wait for a program that does not answer.
 const TAKEN_OVER_TIMEOUT: Duration = Duration::from_secs(60);
 /// The maximum number of registrations that wait for the one in progress; further ones are answered with an error.
@@ -102,6 +104,15 @@ struct Registered {
     warning: Option<String>,
 }
 
+/// The outcome of a question whether a service still answers.
+enum Pinged {
+    Answers,
+    /// It did not answer in time.
+    Silent,
+    /// Nobody serves the topic.
+    Absent,
+}
+
 impl Registrar {
     fn run(&self, queries: &Receiver<Query>) {
         while let Ok(query) = queries.recv() {
@@ -115,26 +126,32 @@ impl Registrar {
 
     /// Registers a program. If another one serves one of its topics, that one is asked whether it still answers.
     fn register(&self, program: Program) -> Result<Option<String>, String> {
-        let register = |program| self.keeper.lock().register(program, Instant::now());
-        let registered = register(program.clone());
-        let registered = match registered {
-            Err(Refused::Served {
-                topic, instance, ..
-            }) if !self.answers(&topic) => {
-                let taken_over = self.keeper.lock().on_silent(instance);
-                self.end_service(&topic, instance);
-                register(program).map(|warning| taken_over.or(warning))
-            }
-            Err(refused) => {
-                // The program may have served it before, and may not have answered for a while.
-                if let Refused::Served { topic, .. } = &refused {
+        let deadline = Instant::now() + PING_TIMEOUT;
+        loop {
+            let registered = self.keeper.lock().register(program.clone(), Instant::now());
+            let (topic, instance) = match &registered {
+                Err(Refused::Served {
+                    topic, instance, ..
+                }) => (topic, *instance),
+                _ => return registered.map_err(|refused| refused.to_string()),
+            };
+            match self.ping(topic) {
+                Pinged::Answers => {
+                    // The program may have served it before, and may not have answered for a while.
                     self.end_service(topic, program.instance);
+                    return registered.map_err(|refused| refused.to_string());
                 }
-                Err(refused)
+                // It has ended, and its token ends in a moment; or it has registered, and declares its service in a moment.
+                Pinged::Absent if Instant::now() < deadline => thread::sleep(PING_PAUSE),
+                Pinged::Absent | Pinged::Silent => {
+                    let warning = self.keeper.lock().on_silent(instance);
+                    self.end_service(topic, instance);
+                    let registered = self.keeper.lock().register(program, Instant::now());
+                    let registered = registered.map(|other| warning.or(other));
+                    return registered.map_err(|refused| refused.to_string());
+                }
             }
-            registered => registered,
-        };
-        registered.map_err(|refused| refused.to_string())
+        }
     }
 
     /// Notifies a program that another one serves its topic. A program that is stopped reads it when it continues.
@@ -147,14 +164,20 @@ impl Registrar {
         }
     }
 
-    fn answers(&self, topic: &Topic) -> bool {
+    /// Asks the program that serves a topic whether it still answers.
+    fn ping(&self, topic: &Topic) -> Pinged {
         let ping = format!("{}?{PING}", self.place.publication(topic));
         let asked = self
             .session
             .get(ping)
             .target(QueryTarget::AllComplete)
             .timeout(PING_TIMEOUT);
-        let replies = asked.wait().into_iter().flatten();
-        replies.into_iter().any(|reply| reply.result().is_ok())
+        let replies: Vec<_> = asked.wait().into_iter().flatten().collect();
+        match replies.iter().any(|reply| reply.result().is_ok()) {
+            true => Pinged::Answers,
+            // Zenoh replies with an error when the time is up.
+            false if !replies.is_empty() => Pinged::Silent,
+            false => Pinged::Absent,
+        }
     }
 }
