@@ -81,6 +81,14 @@ def script(folder: Path, name: str, code: str) -> Iterator[subprocess.Popen[str]
             process.kill()
 
 
+def stop(process: subprocess.Popen[str]) -> None:
+    """Stops a program, and waits until each of its threads is stopped: some may still run for a moment."""
+    process.send_signal(signal.SIGSTOP)
+    threads = Path(f"/proc/{process.pid}/task")
+    # The state is the first field after the name in parentheses.
+    until(lambda: all((task / "stat").read_text().rpartition(")")[2].split()[0] == "T" for task in threads.iterdir()))
+
+
 def line_of(process: subprocess.Popen[str]) -> str:
     assert process.stdout is not None
     return process.stdout.readline().strip()
@@ -186,7 +194,7 @@ sys.stdin.read()
 """
     with routers.connect("wombat-1", "claw") as claw, script(tmp_path, "arm.py", code) as arm:
         assert line_of(arm) == "serving"
-        arm.send_signal(signal.SIGSTOP)
+        stop(arm)
         with caplog.at_level(logging.WARNING, "rect"):
             claw.serve("grab", lambda request: "claw")
             until(lambda: "the program arm of this robot does not answer" in caplog.text, lambda: caplog.text)
