@@ -1,9 +1,6 @@
 //! Serves the catalogue of the robot's programs: `<fleet>/<robot>/@rect/catalogue` (docs/reference/registry.md).
 use std::{
-    sync::{
-        mpsc::{self, Receiver, TrySendError},
-        Arc,
-    },
+    sync::{mpsc::Receiver, Arc},
     thread,
     time::{Duration, Instant},
 };
@@ -26,7 +23,7 @@ use zenoh::{
     Session, Wait,
 };
 
-use crate::reply::reply;
+use crate::reply;
 
 /// How long a program that serves a topic may take to answer before another one takes it over.
 const PING_TIMEOUT: Duration = Duration::from_secs(1);
@@ -57,34 +54,24 @@ pub fn serve(session: &Session, place: &KeySpace) -> zenoh::Result<()> {
         .history(true)
         .callback(on_token);
     subscriber.background().wait()?;
+    let key = place.own(own, REGISTER);
+    let busy = "too many programs are registering: try again";
+    let next = reply::queue(session, &key, MAX_WAITING_QUERIES, busy)?;
     let registrar = Registrar {
         session: session.clone(),
         place: place.clone(),
-        key: place.own(own, REGISTER),
+        key,
         keeper: Arc::clone(&keeper),
     };
-    let key = registrar.key.clone();
-    let (queries, next) = mpsc::sync_channel(MAX_WAITING_QUERIES);
     thread::Builder::new()
         .name("catalogue".to_owned())
         .spawn(move || registrar.run(&next))?;
-    declare(session, key.clone(), move |query| {
-        if let Err(TrySendError::Full(query)) = queries.try_send(query) {
-            let busy = "too many programs are registering: try again".to_owned();
-            reply::<Registered>(&query, &key, Err(busy));
-        }
-    })?;
     let key = place.own(own, CATALOGUE);
-    declare(session, key.clone(), move |query| {
-        reply(&query, &key, Ok(keeper.lock().programs(Instant::now())));
-    })
-}
-
-fn declare(
-    session: &Session,
-    key: String,
-    on_query: impl Fn(Query) + Send + Sync + 'static,
-) -> zenoh::Result<()> {
+    let key_of_answer = key.clone();
+    let on_query = move |query: Query| {
+        let programs = keeper.lock().programs(Instant::now());
+        reply::reply(&query, &key_of_answer, Ok(programs));
+    };
     let queryable = session.declare_queryable(key).callback(on_query);
     queryable.background().wait()
 }
@@ -120,7 +107,7 @@ impl Registrar {
             let program = Program::read(&payload).map_err(|error| error.to_string());
             let registered = program.and_then(|program| self.register(program));
             let answer = registered.map(|warning| Registered { warning });
-            reply(&query, &self.key, answer);
+            reply::reply(&query, &self.key, answer);
         }
     }
 

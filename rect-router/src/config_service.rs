@@ -3,22 +3,16 @@
 //! Its key is `<fleet>/<robot>/@rect/@config/connections`. A query without a payload reads the file, a query with a payload
 //! replaces it, `?add` adds the connection in the payload, and `?remove` removes the connection named by the payload.
 //! Zenoh's access control decides who may use the service; a rule for `**` does not match the key's `@config` part.
-use std::{
-    sync::{
-        mpsc::{self, TrySendError},
-        Arc,
-    },
-    thread,
-};
+use std::{sync::Arc, thread};
 
 use rect_core::registry::named_connection::{ADD, CONFIG, REMOVE};
 use serde::Serialize;
 use serde_json::Value;
-use zenoh::{query::Query, Session, Wait};
+use zenoh::{query::Query, Session};
 
 use crate::{
     connections::{Changes, Connections, Edit},
-    reply::reply,
+    reply,
 };
 
 /// The reply to a query that reads the file.
@@ -46,32 +40,23 @@ const MAX_WAITING_QUERIES: usize = 16;
 /// Fails if the queryable cannot be declared or the thread cannot be started.
 pub fn serve(session: &Session, own: &str, connections: Arc<Connections>) -> zenoh::Result<()> {
     let key = format!("{own}/{CONFIG}");
-    let key_of_answer = key.clone();
-    let (queries, next) = mpsc::sync_channel(MAX_WAITING_QUERIES);
-    // A change takes time, and must not block Zenoh's own threads.
+    let busy = "too many queries are waiting to change the connections; try again";
+    let next = reply::queue(session, &key, MAX_WAITING_QUERIES, busy)?;
     thread::Builder::new()
         .name("settings".to_owned())
         .spawn(move || {
             for query in &next {
-                answer(query, &key_of_answer, &connections);
+                answer(query, &key, &connections);
             }
         })?;
-    let busy_key = key.clone();
-    let on_query = move |query: Query| {
-        if let Err(TrySendError::Full(query)) = queries.try_send(query) {
-            let busy = "too many queries are waiting to change the connections; try again";
-            reply::<Value>(&query, &busy_key, Err(busy.to_owned()));
-        }
-    };
-    let queryable = session.declare_queryable(key).callback(on_query);
-    queryable.background().wait()
+    Ok(())
 }
 
 /// Answers a query, and then applies the change that it requests.
 fn answer(query: Query, key: &str, connections: &Connections) {
     // Takes the query by value: dropping it tells Zenoh that no further reply follows.
     let reply = |query: Query, result: Result<Value, String>| {
-        self::reply(&query, key, result);
+        reply::reply(&query, key, result);
     };
     let ConfigRequest { edit, expected, by } = match ConfigRequest::parse(&query) {
         Ok(request) => request,

@@ -8,7 +8,7 @@
 //! router of Zenoh 1.10 for good (`tests/upstream/admin_space_freeze.py`).
 use std::{
     sync::{
-        mpsc::{self, Receiver, RecvTimeoutError, TrySendError},
+        mpsc::{Receiver, RecvTimeoutError},
         Arc,
     },
     thread,
@@ -22,7 +22,7 @@ use rect_core::{
 };
 use zenoh::{pubsub::Subscriber, query::Query, sample::Sample, Session, Wait};
 
-use crate::reply::reply;
+use crate::reply;
 
 /// Maximum number of queries that wait for the one in progress; further queries are answered with an error.
 const MAX_WAITING_QUERIES: usize = 16;
@@ -34,26 +34,19 @@ const MAX_WAITING_QUERIES: usize = 16;
 /// Fails if the queryable cannot be declared or the thread cannot be started.
 pub fn serve(session: &Session, own: &str) -> zenoh::Result<()> {
     let key = format!("{own}/@rect/{TOPICS}");
-    let (queries, next) = mpsc::sync_channel(MAX_WAITING_QUERIES);
+    let busy = "too many queries about topics are waiting; try again";
+    let next = reply::queue(session, &key, MAX_WAITING_QUERIES, busy)?;
     let service = TopicService {
         session: session.clone(),
         own: own.to_owned(),
-        key: key.clone(),
+        key,
         measurement: None,
     };
     // A thread of its own ends the count when no more queries arrive.
     thread::Builder::new()
         .name("topics".to_owned())
         .spawn(move || service.run(&next))?;
-    let busy_key = key.clone();
-    let on_query = move |query: Query| {
-        if let Err(TrySendError::Full(query)) = queries.try_send(query) {
-            let busy = "too many queries about topics are waiting; try again";
-            reply::<Topics>(&query, &busy_key, Err(busy.to_owned()));
-        }
-    };
-    let queryable = session.declare_queryable(key).callback(on_query);
-    queryable.background().wait()
+    Ok(())
 }
 
 /// Answers the queries, on a thread of its own.
@@ -92,7 +85,7 @@ impl TopicService {
             let topics = self.count(&question);
             topics.map_err(|error| error.to_string())
         });
-        reply(query, &self.key, made);
+        reply::reply(query, &self.key, made);
     }
 
     /// Starts counting messages, or prolongs the count, and returns what was counted until now.
