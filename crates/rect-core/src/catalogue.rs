@@ -90,6 +90,11 @@ impl ServiceEntry {
             several,
         }
     }
+
+    /// Returns whether two services cannot exist at the same time, because they have one topic and do not both allow that.
+    pub fn excludes(&self, other: &Self) -> bool {
+        self.topic == other.topic && !(self.several && other.several)
+    }
 }
 
 impl Program {
@@ -105,6 +110,13 @@ impl Program {
     pub fn to_json(&self) -> String {
         // Names, numbers and texts can always be serialized.
         serde_json::to_string(self).unwrap_or_default()
+    }
+
+    /// Adds a service, in alphabetical order.
+    pub(crate) fn add(&mut self, service: ServiceEntry) {
+        let comes_before = |other: &ServiceEntry| other.topic.as_str() < service.topic.as_str();
+        let at = self.services.partition_point(comes_before);
+        self.services.insert(at, service);
     }
 
     /// Returns the name, or the text for a program without one.

@@ -66,10 +66,7 @@ impl Services {
         self.listed.clear();
         let mut new = Vec::new();
         for (service, program) in found.into_iter().take(MAX_SERVICES) {
-            let (name, topic) = (
-                name(&service),
-                format!("{}/{}", service.robot, service.topic),
-            );
+            let (name, topic) = (name(&service), service.to_string());
             let is_permitted = self.permitted.iter().any(|pattern| pattern.matches(&topic));
             let is_new = self.offered.len() < MAX_SERVICES && !self.offered.contains_key(&name);
             if is_permitted && is_new {
@@ -108,7 +105,7 @@ impl Services {
 
 /// Returns the name of a service for viewers.
 fn name(service: &RobotTopic) -> String {
-    format!("/{}/{}", service.robot, service.topic)
+    format!("/{service}")
 }
 
 /// Asks the routers of these robots what their programs serve. A robot without a catalogue is left out.

@@ -99,10 +99,7 @@ impl Keeper {
         };
         for service in &program.services {
             for (&instance, other) in others() {
-                let is_refused = |served: &ServiceEntry| {
-                    served.topic == service.topic && !(served.several && service.several)
-                };
-                if other.services.iter().any(is_refused) {
+                if other.services.iter().any(|served| served.excludes(service)) {
                     return Err(Refused::Served {
                         topic: service.topic.clone(),
                         by: other.name.clone(),

@@ -95,23 +95,18 @@ impl ProgramPresence {
     /// # Errors
     /// Returns why the program cannot serve it.
     pub fn offer(&mut self, service: &ServiceEntry) -> Result<Program, String> {
-        let mut program = self.program.clone();
-        let is_refused = |other: &ServiceEntry| {
-            other.topic == service.topic && !(other.several && service.several)
-        };
-        if (program.services.iter().chain(&self.offered)).any(is_refused) {
+        let own = self.program.services.iter().chain(&self.offered);
+        if own.clone().any(|other| other.excludes(service)) {
             return Err(format!(
                 "{} is served by this program already. End that service, choose another topic, or allow several programs to serve it in both",
                 service.topic
             ));
         }
-        if program.services.len() + self.offered.len() >= MAX_SERVICES {
+        if own.count() >= MAX_SERVICES {
             return Err(format!("a program serves at most {MAX_SERVICES} topics"));
         }
-        let at = program
-            .services
-            .partition_point(|other| other.topic.as_str() < service.topic.as_str());
-        program.services.insert(at, service.clone());
+        let mut program = self.program.clone();
+        program.add(service.clone());
         self.offered.push(service.clone());
         Ok(program)
     }
@@ -119,11 +114,9 @@ impl ProgramPresence {
     /// Handles that the program serves what it has offered: the service with which `program` was registered.
     pub fn on_served(&mut self, service: ServiceEntry, program: &Program, registered: Registered) {
         self.take_offered(&service.topic);
-        let services = &mut self.program.services;
-        let at = services.partition_point(|other| other.topic.as_str() < service.topic.as_str());
-        services.insert(at, service);
+        self.program.add(service);
         // Another service may have been added or removed meanwhile.
-        let is_current = *services == program.services;
+        let is_current = self.program.services == program.services;
         self.is_registered &= is_current && registered != Registered::Unanswered;
         self.warnings.add(registered);
         self.revision = self.revision.wrapping_add(1);
