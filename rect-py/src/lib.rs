@@ -55,7 +55,9 @@ mod _rect {
         publication::Numbering,
         queue::{Ended, Queue},
         recording::{Recorder, RecordingReader},
-        request::{busy_reply, error_encoding, requester, Inquiry, Sent, Served, Unsent},
+        request::{
+            busy_reply, error_encoding, requester, Inquiry, RequestIds, Sent, Served, Unsent,
+        },
         router::{check_router, default_login_file, robot_of_router, JoinAttempts},
         settings::{default_router, session_settings},
         stream::{FrameReader, Job, StreamPublish, StreamWatch},

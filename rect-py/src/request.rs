@@ -7,9 +7,11 @@ use pyo3::{
     types::{PyBytes, PyTuple},
 };
 use rect_core::{
+    catalogue::Instance,
     message::{encoding::Encoding, payload::Payload, request::error_to_payload},
     session::{
         inquiry::{self, ReplyKind},
+        request_ids,
         served::{self, Unanswered},
         service::{self, Requester},
     },
@@ -35,10 +37,12 @@ impl Inquiry {
         robot: Option<&str>,
         topic: &str,
         timeout_s: f64,
+        ids: &RequestIds,
     ) -> PyResult<Self> {
         let robot = robot.map(name).transpose()?;
         let place = key_space.0.clone();
-        let inquiry = inquiry::Inquiry::new(place, robot, self::topic(topic)?, seconds(timeout_s));
+        let topic = self::topic(topic)?;
+        let inquiry = inquiry::Inquiry::new(place, robot, topic, seconds(timeout_s), &ids.0);
         Ok(Self(inquiry))
     }
 
@@ -92,6 +96,19 @@ impl Inquiry {
     #[getter]
     fn expected(&self) -> String {
         self.0.expected()
+    }
+}
+
+/// The ids of the requests of one run of a program.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct RequestIds(request_ids::RequestIds);
+
+#[pymethods]
+impl RequestIds {
+    /// Creates the ids of a run. `is_announced`: the program has a name.
+    #[new]
+    fn new(run: u32, is_announced: bool) -> Self {
+        Self(request_ids::RequestIds::new(Instance(run), is_announced))
     }
 }
 
@@ -152,8 +169,8 @@ impl Unsent {
 #[pyfunction]
 pub fn requester(key: &str, attachment: Option<&[u8]>) -> Option<(Option<String>, f64)> {
     let requester = Requester::of(key, attachment)?;
-    let robot = requester.robot.map(|robot| robot.to_string());
-    Some((robot, requester.timeout.as_secs_f64()))
+    let robot = requester.robot().map(ToString::to_string);
+    Some((robot, requester.timeout().as_secs_f64()))
 }
 
 /// Returns the error reply of a robot to a request for which there is no room.

@@ -9,6 +9,7 @@ pub mod name_check;
 pub mod names;
 pub mod peers;
 pub mod publication;
+pub mod request_ids;
 pub mod router;
 pub mod served;
 pub mod service;

@@ -62,7 +62,7 @@ class Replies(Generic[T]):
         self._session = session
         self._converter = converter
         self._asked = robot, topic
-        self._inquiry = _rect.Inquiry(session.key_space, robot, topic, timeout)
+        self._inquiry = _rect.Inquiry(session.key_space, robot, topic, timeout, session.program.request_ids)
         self._timeout = timeout
         self._deadline = time.monotonic() + timeout
         self._queue: ReceiveQueue[zenoh.Reply] = ReceiveQueue(_rect.MAX_REPLIES, "block")

@@ -1,44 +1,104 @@
-//! Encodes the metadata of requests and error replies: the header of a request (sender and timeout), and the robot in
-//! an error reply, because Zenoh's error replies have no key.
+//! Encodes the metadata of requests and error replies: the header of a request (its sender, id and timeout), and the robot in an error
+//! reply, because Zenoh's error replies have no key.
 use super::{encoding::Encoding, payload::Payload};
-use crate::name::{Name, MAX_BYTES};
+use crate::{
+    catalogue::Instance,
+    name::{Name, MAX_BYTES},
+};
 
 /// The first byte of a header. It differs from those of [`super::attachment`], and no text in UTF-8 begins with it.
-const MARK: u8 = 0xFC;
+const MARK: u8 = 0xFD;
+/// The program of the requester has a liveliness token.
+const ANNOUNCED: u8 = 1;
+/// The requester expects several replies, and the mark of the last one.
+const STREAM: u8 = 2;
+/// The run of the program that may carry the request out follows.
+const ONCE: u8 = 4;
+const FLAGS: u8 = ANNOUNCED | STREAM | ONCE;
 
 /// The timeout of a request without a header, in milliseconds. Zenoh's own default.
 pub const DEFAULT_TIMEOUT_MS: u32 = 10_000;
 
-/// The attachment of a request, at most 34 bytes: `0xFC`, the timeout in milliseconds (4 bytes, little endian), and the
-/// name of the robot that sent the request.
+/// The id of a request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct RequestId {
+    /// The run of the program that sent it.
+    pub run: Instance,
+    /// The number of the request in this run.
+    pub number: u32,
+}
+
+/// The attachment of a request, at most 47 bytes: `0xFD`, flags, the timeout in milliseconds, the run and the number of the id, the run
+/// of the program that may carry it out, if the requester states one (4 bytes each, little endian), and the name of the robot that
+/// sent the request.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RequestHeader {
     /// The robot that sent the request.
     pub sender: Name,
     /// How long the sender waits for a reply, in milliseconds from sending the request.
     pub timeout_ms: u32,
+    /// The id.
+    pub id: RequestId,
+    /// Whether the program of the sender has a liveliness token.
+    pub is_announced: bool,
+    /// Whether the sender expects several replies, and the mark of the last one.
+    pub is_stream: bool,
+    /// The run of the program that may carry out the request, at most once. `None`: every program that serves the topic, each time that
+    /// the request arrives.
+    pub once_by: Option<Instance>,
 }
 
 impl RequestHeader {
     /// Encodes the header.
     pub fn encode(&self) -> Vec<u8> {
-        let mut bytes = Vec::with_capacity(5 + MAX_BYTES);
+        let flag = |flag: u8, is_set: bool| if is_set { flag } else { 0 };
+        let mut bytes = Vec::with_capacity(18 + MAX_BYTES);
         bytes.push(MARK);
-        bytes.extend_from_slice(&self.timeout_ms.to_le_bytes());
+        bytes.push(
+            flag(ANNOUNCED, self.is_announced)
+                | flag(STREAM, self.is_stream)
+                | flag(ONCE, self.once_by.is_some()),
+        );
+        let RequestId { run, number } = self.id;
+        let once_by = self.once_by.map(|run| run.0);
+        for number in [self.timeout_ms, run.0, number].into_iter().chain(once_by) {
+            bytes.extend_from_slice(&number.to_le_bytes());
+        }
         bytes.extend_from_slice(self.sender.as_str().as_bytes());
         bytes
     }
 
     /// Decodes a header. Returns `None` if the bytes are something else, because the sender does not use RECT.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
-        let (&MARK, rest) = bytes.split_first()? else {
+        let (&[MARK, flags], rest) = bytes.split_first_chunk()? else {
             return None;
         };
-        let (timeout, name) = rest.split_first_chunk()?;
-        let sender = Name::new(std::str::from_utf8(name).ok()?).ok()?;
-        let timeout_ms = u32::from_le_bytes(*timeout);
-        Some(Self { sender, timeout_ms })
+        let (timeout_ms, rest) = number(rest)?;
+        let (run, rest) = number(rest)?;
+        let (number_of_run, rest) = number(rest)?;
+        let (once_by, name) = match flags & ONCE {
+            0 => (None, rest),
+            _ => number(rest).map(|(run, rest)| (Some(Instance(run)), rest))?,
+        };
+        let header = Self {
+            sender: Name::new(std::str::from_utf8(name).ok()?).ok()?,
+            timeout_ms,
+            id: RequestId {
+                run: Instance(run),
+                number: number_of_run,
+            },
+            is_announced: flags & ANNOUNCED != 0,
+            is_stream: flags & STREAM != 0,
+            once_by,
+        };
+        (flags & !FLAGS == 0).then_some(header)
     }
+}
+
+/// Splits off a number.
+fn number(bytes: &[u8]) -> Option<(u32, &[u8])> {
+    let (number, rest) = bytes.split_first_chunk()?;
+    Some((u32::from_le_bytes(*number), rest))
 }
 
 /// The last part of an error reply's encoding, before the name of the replying robot: `text/plain;from=wombat-2`.
@@ -74,17 +134,36 @@ mod tests {
 
     #[test]
     fn headers_round_trip_and_other_attachments_are_rejected() {
-        let from = Name::new("wombat-1").expect("valid name");
         let header = RequestHeader {
-            sender: from,
+            sender: Name::new("wombat-1").expect("valid name"),
             timeout_ms: 1500,
+            id: RequestId {
+                run: Instance(0x1f),
+                number: 7,
+            },
+            is_announced: true,
+            is_stream: false,
+            once_by: None,
         };
-        let bytes = header.encode();
-        assert_eq!(RequestHeader::decode(&bytes), Some(header));
-        for wrong in [&b""[..], b"text", &bytes[..5], &[MARK, 0, 0, 0, 0, b'/']] {
+        let once = RequestHeader {
+            is_announced: false,
+            is_stream: true,
+            once_by: Some(Instance(0x2f)),
+            ..header.clone()
+        };
+        for header in [header, once] {
+            let bytes = header.encode();
+            assert_eq!(RequestHeader::decode(&bytes), Some(header));
+            assert_eq!(crate::message::attachment::Attachment::decode(&bytes), None);
+            for end in 0..15 {
+                assert_eq!(RequestHeader::decode(&bytes[..end]), None, "{end}");
+            }
+            let unknown_flag = [&[MARK, 0xFF], &bytes[2..]].concat();
+            assert_eq!(RequestHeader::decode(&unknown_flag), None);
+        }
+        for wrong in [&b"text"[..], &[MARK, 0, 0, 0, 0, b'/']] {
             assert_eq!(RequestHeader::decode(wrong), None, "{wrong:?}");
         }
-        assert_eq!(crate::message::attachment::Attachment::decode(&bytes), None);
     }
 
     #[test]

@@ -9,6 +9,7 @@ use crate::{
         urgency::Urgency,
     },
     name::{key::KeySpace, topic::Topic, Name},
+    session::request_ids::RequestIds,
 };
 
 /// The number of replies that may wait for the program. A service that sends more waits.
@@ -21,6 +22,7 @@ pub struct Inquiry {
     robot: Option<Name>,
     topic: Topic,
     timeout: Duration,
+    header: RequestHeader,
 }
 
 /// The meaning of a reply.
@@ -52,8 +54,15 @@ pub enum ReplyKind {
 impl Inquiry {
     /// Creates a request of a program of the robot of `place` to the service `topic` of `robot`, or of all robots
     /// (`None`).
-    pub fn new(place: KeySpace, robot: Option<Name>, topic: Topic, timeout: Duration) -> Self {
+    pub fn new(
+        place: KeySpace,
+        robot: Option<Name>,
+        topic: Topic,
+        timeout: Duration,
+        ids: &RequestIds,
+    ) -> Self {
         Self {
+            header: ids.header(&place, timeout),
             place,
             robot,
             topic,
@@ -63,13 +72,9 @@ impl Inquiry {
 
     /// Returns the query to send.
     pub fn get(&self, payload: Payload, urgency: Urgency) -> Get {
-        let header = RequestHeader {
-            sender: self.place.robot.clone(),
-            timeout_ms: u32::try_from(self.timeout.as_millis()).unwrap_or(u32::MAX),
-        };
         Get {
             payload: Some(payload),
-            attachment: Some(header.encode()),
+            attachment: Some(self.header.encode()),
             qos: urgency.qos(),
             target: Target::All,
             ..Get::new(

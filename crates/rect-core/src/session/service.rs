@@ -56,10 +56,8 @@ impl ServiceQuery {
 /// The sender of a request, and how long it waits.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Requester {
-    /// The robot that the request names as its sender. `None` if a stock Zenoh program sent it.
-    pub robot: Option<Name>,
-    /// How long the sender waits for a reply.
-    pub timeout: Duration,
+    /// The header of the request. `None` if a stock Zenoh program sent it.
+    pub header: Option<RequestHeader>,
 }
 
 impl Requester {
@@ -70,11 +68,18 @@ impl Requester {
         if header.is_none() && key.contains('*') {
             return None;
         }
-        let timeout_ms = header.as_ref().map_or(DEFAULT_TIMEOUT_MS, |h| h.timeout_ms);
-        Some(Self {
-            robot: header.map(|header| header.sender),
-            timeout: Duration::from_millis(timeout_ms.into()),
-        })
+        Some(Self { header })
+    }
+
+    /// Returns the robot that the request names as its sender. `None` if a stock Zenoh program sent it.
+    pub fn robot(&self) -> Option<&Name> {
+        self.header.as_ref().map(|header| &header.sender)
+    }
+
+    /// Returns how long the sender waits for a reply.
+    pub fn timeout(&self) -> Duration {
+        let timeout_ms = self.header.as_ref().map(|header| header.timeout_ms);
+        Duration::from_millis(timeout_ms.unwrap_or(DEFAULT_TIMEOUT_MS).into())
     }
 }
 
@@ -87,6 +92,7 @@ pub fn busy(robot: &Name) -> Payload {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{name::key::KeySpace, session::request_ids::RequestIds};
 
     const KEY: &str = "rect/wombat-2/battery";
 
@@ -95,25 +101,27 @@ mod tests {
         let stock = Requester::of(KEY, Some(b"?")).expect("a request");
         assert_eq!(Some(&stock), Requester::of(KEY, None).as_ref());
         assert_eq!(
-            (stock.robot, stock.timeout),
+            (stock.robot(), stock.timeout()),
             (None, Duration::from_secs(10))
         );
     }
 
     #[test]
     fn requests_of_robots_name_them() {
-        let sender = Name::new("wombat-1").expect("valid name");
-        let header = RequestHeader {
-            sender: sender.clone(),
-            timeout_ms: 1500,
+        let ids = RequestIds::new(Instance(0x1f), true);
+        let place = KeySpace {
+            fleet: Name::new("rect").expect("valid name"),
+            robot: Name::new("wombat-1").expect("valid name"),
         };
         let timeout = Duration::from_millis(1500);
-        let robot = Some(sender);
-        let requester = Requester { robot, timeout };
+        let header = ids.header(&place, timeout);
         // A request to the services of all robots has a wildcard.
         for key in [KEY, "rect/*/battery"] {
-            let read = Requester::of(key, Some(&header.encode()));
-            assert_eq!(read.as_ref(), Some(&requester), "{key}");
+            let read = Requester::of(key, Some(&header.encode())).expect("a request");
+            assert_eq!(
+                (read.robot(), read.timeout()),
+                (Some(&place.robot), timeout)
+            );
         }
     }
 

@@ -156,7 +156,13 @@ impl Robot {
         topic: Topic,
         value: impl ToPayload,
     ) -> Result<Replies<T>, Error> {
-        let inquiry = Inquiry::new(self.inner.place.clone(), robot, topic, self.timeout);
+        let inquiry = Inquiry::new(
+            self.inner.place.clone(),
+            robot,
+            topic,
+            self.timeout,
+            &self.inner.request_ids,
+        );
         let get = inquiry.get(self.payload(value)?, self.urgency());
         let queue = ReceiveQueue::new(Queue::new(MAX_REPLIES, WhenFull::Block));
         let cancellation = CancellationToken::default();

@@ -6,7 +6,7 @@ use std::{
 };
 
 use rect_core::{
-    catalogue::presence::ProgramPresence,
+    catalogue::{presence::ProgramPresence, Instance},
     clock::unix::ms_since_1970,
     codec::{dictionary::Dictionary, dictionary_codec::DictionaryCodec, Codec},
     message::{
@@ -17,7 +17,10 @@ use rect_core::{
     },
     name::{key::KeySpace, topic::Topic, Name},
     registry::catalogue_query::Catalogues,
-    session::{declarations::Declarations, peers::DirectPresence, publication::PublicationKey},
+    session::{
+        declarations::Declarations, peers::DirectPresence, publication::PublicationKey,
+        request_ids::RequestIds,
+    },
 };
 use tokio::runtime::Handle;
 use zenoh::{Config, Session};
@@ -63,6 +66,7 @@ pub(super) struct Inner {
     pub(super) direct: bool,
     /// The last catalogues of robots.
     pub(super) catalogues: Catalogues,
+    pub(super) request_ids: RequestIds,
     /// The presence of this program.
     pub(super) program: Running<ProgramPresence>,
     /// The presence of the robot; `None` if its router has one.
@@ -92,7 +96,9 @@ impl Robot {
             let links = RouterLinks::follow(&session, &place, &Handle::current())?;
             (None, Some(links))
         };
-        let program = ProgramPresence::new(place.clone(), program, rand::random(), direct);
+        let instance: u32 = rand::random();
+        let request_ids = RequestIds::new(Instance(instance), program.is_some());
+        let program = ProgramPresence::new(place.clone(), program, instance, direct);
         let executor = Executor::new(&session, program, WarningSink);
         let program = executor.start(&Handle::current())?;
         let decoder = Decoder::new(&session, &place);
@@ -109,6 +115,7 @@ impl Robot {
             counting,
             router_links,
             catalogues: Catalogues::default(),
+            request_ids,
             direct,
             program,
             _presence: presence,

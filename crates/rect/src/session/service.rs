@@ -408,9 +408,9 @@ impl Request {
         Some(Self {
             me,
             key,
-            sender: requester.robot,
+            sender: requester.robot().cloned(),
             payload: queries::payload_of(&query),
-            deadline: Instant::now() + requester.timeout,
+            deadline: Instant::now() + requester.timeout(),
             query,
         })
     }
