@@ -27,7 +27,13 @@ void drive(const rect::Robot& robot, const char* recipient) {
     const auto steering = rect::must(urgent.expires_after(lifetime));
     for (int n = 0; n < 200; ++n) {
         const auto left = std::sin(n / 20.0);
-        rect::must(steering.send(recipient, "drive", rect::Cbor(Drive{left, -left})));
+        const auto sent = steering.send(recipient, "drive", rect::Cbor(Drive{left, -left}));
+        if (!sent && sent.error().code == rect::Code::not_reachable) {
+            // It stops by itself, and is steered again when it is back.
+            std::cerr << sent.error().text << std::endl;
+        } else {
+            rect::must(sent);
+        }
         std::this_thread::sleep_for(50ms);
     }
     rect::must(urgent.send(recipient, "drive", rect::Cbor(stop)));

@@ -4,13 +4,12 @@ python examples/teleoperation/main.py wombat-1             # receives commands
 python examples/teleoperation/main.py laptop wombat-1      # sends commands
 """
 
+import contextlib
 import math
 import sys
 import time
 
 import rect
-
-STOP = {"left": 0.0, "right": 0.0}
 
 
 def main(me: str = "wombat-1", other: str = "") -> None:
@@ -20,9 +19,10 @@ def main(me: str = "wombat-1", other: str = "") -> None:
 
 def drive(robot: rect.Robot, other: str) -> None:
     for left in (math.sin(n / 20) for n in range(200)):
-        robot.send(other, "drive", rect.Cbor({"left": left, "right": -left}), urgency="urgent", expires_after=0.2)
+        with contextlib.suppress(rect.NotReachable):  # it stops by itself, and is steered again when it is back
+            robot.send(other, "drive", rect.Cbor({"left": left, "right": -left}), urgency="urgent", expires_after=0.2)
         time.sleep(0.05)
-    robot.send(other, "drive", rect.Cbor(STOP), urgency="urgent")
+    robot.send(other, "drive", rect.Cbor({"left": 0.0, "right": 0.0}), urgency="urgent")
 
 
 def follow(robot: rect.Robot) -> None:
@@ -32,7 +32,7 @@ def follow(robot: rect.Robot) -> None:
             message = commands.next(timeout=0.5)
             print(f"{message.sender}: {message.value}", flush=True)
         except rect.TimedOut:
-            print(f"no commands, stopping: {STOP}", flush=True)
+            print("no commands, stopping", flush=True)
 
 
 if __name__ == "__main__":

@@ -41,7 +41,11 @@ async fn drive(robot: &rect::Robot, recipient: &str) -> Result<(), rect::Error> 
         let left = (f64::from(n) / 20.0).sin();
         let command = Drive { left, right: -left };
         let command = rect::Cbor(command);
-        steering.send(recipient, "drive", command).await?;
+        match steering.send(recipient, "drive", command).await {
+            // It stops by itself, and is steered again when it is back.
+            Err(error @ rect::Error::NotReachable { .. }) => eprintln!("{error}"),
+            sent => sent?,
+        }
     }
     urgent.send(recipient, "drive", rect::Cbor(STOP)).await
 }

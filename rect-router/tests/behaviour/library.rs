@@ -113,6 +113,8 @@ fn urgent_and_large_messages_arrive() {
     let [one, two] = programs(&wombats);
     let (urgent, large) = (one.with_urgency(Urgency::Urgent), vec![7; 20_000]);
     let mut messages = two.subscribe::<Payload>("wombat-1/*").expect("subscribed");
+    let linked = one.wait_for_peer("wombat-2", DEADLINE);
+    linked.expect("the robots are linked");
     let (mut has_stopped, mut is_whole) = (false, false);
     until("both arrive", || {
         urgent.publish("stop", "now").expect("published");

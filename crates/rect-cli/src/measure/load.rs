@@ -1,7 +1,7 @@
 //! Sends a load to the other robot, as fast as the link carries it.
 use std::{sync::Arc, time::Duration};
 
-use rect::{Name, Payload, Robot, Urgency};
+use rect::{Name, Payload, Robot, ToPayload, Urgency};
 use tokio::{
     sync::Semaphore,
     time::{timeout, timeout_at},
@@ -52,8 +52,21 @@ pub async fn send(
             }
             Err(_elapsed) => break,
         }
-        bulk.send(other, LOAD, vec![0u8; bytes]).await?;
+        send_or_lose(&bulk, other, LOAD, vec![0u8; bytes]).await?;
         sent += 1;
     }
     Ok(sent)
+}
+
+/// Sends a message that is lost if the robot is not reachable now, as it would be on the way.
+pub async fn send_or_lose(
+    robot: &Robot,
+    other: &Name,
+    topic: &str,
+    value: impl ToPayload,
+) -> Result<(), rect::Error> {
+    match robot.send(other, topic, value).await {
+        Err(rect::Error::NotReachable { .. }) => Ok(()),
+        sent => sent,
+    }
 }

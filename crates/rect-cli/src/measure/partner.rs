@@ -132,7 +132,7 @@ async fn count_load(
         unacknowledged += bytes;
         while unacknowledged >= ACKNOWLEDGED_BYTES {
             unacknowledged -= ACKNOWLEDGED_BYTES;
-            robot.send(&message.sender, ACKNOWLEDGEMENT, "").await?;
+            load::send_or_lose(&robot, &message.sender, ACKNOWLEDGEMENT, "").await?;
         }
     }
     Ok(())

@@ -5,12 +5,12 @@ use std::{
         atomic::{AtomicU32, Ordering},
         Arc,
     },
-    time::Duration,
+    time::{Duration, Instant},
 };
 
 use rect::{Cbor, Error, Json, Payload, QueueOptions, Robot, Urgency, WhenFull};
 
-use crate::pair::{pair, TIMEOUT};
+use crate::pair::{dialling, free_endpoint, listening, pair, TIMEOUT};
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 use tokio::time::timeout;
@@ -119,6 +119,53 @@ async fn sent_message_is_delivered_once_and_to_the_recipient_only() {
     // Messages arrive in order, and once, although two subscriptions of Zenoh match the message.
     assert_eq!(until_end(&to_b).await, once);
     assert_eq!(until_end(&own).await, []);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn message_to_a_robot_that_is_not_reachable_is_an_error_until_it_is() {
+    let endpoint = free_endpoint();
+    let a = listening("a", &endpoint).await;
+    a.send("a", "note", "to itself").await.expect("sent");
+    let text = async || {
+        let sent = a.send("bob", "note", "").await;
+        sent.expect_err("not reachable").to_string()
+    };
+    assert_eq!(text().await, "bob is not reachable; reachable robots: none");
+    let bobby = dialling("bobby", &endpoint).await;
+    a.wait_for_peer("bobby", TIMEOUT).await.expect("linked");
+    // The wait has a subscription of its own, which may have been served first.
+    let expected = "bob is not reachable; did you mean bobby? (reachable robots: bobby)";
+    while text().await != expected {
+        tokio::task::yield_now().await;
+    }
+    a.send("bobby", "note", "").await.expect("sent");
+    bobby.close().await.expect("closed");
+    let deadline = Instant::now() + TIMEOUT;
+    loop {
+        match a.send("bobby", "note", "").await {
+            Ok(()) if Instant::now() < deadline => {}
+            Err(Error::NotReachable { robot, available }) => {
+                assert_eq!((robot.as_str(), available), ("bobby", vec![]));
+                break;
+            }
+            sent => panic!("{sent:?}"),
+        }
+    }
+    let bobby = dialling("bobby", &endpoint).await;
+    let notes = bobby.subscribe::<Payload>("a/note").await;
+    let notes = notes.expect("subscribed");
+    let arrived = timeout(TIMEOUT, async {
+        while notes.try_next().is_none() {
+            match a.urgent().send("bobby", "note", "").await {
+                Ok(()) | Err(Error::NotReachable { .. }) => tokio::task::yield_now().await,
+                Err(error) => panic!("{error}"),
+            }
+        }
+    });
+    arrived.await.expect("it arrives again");
+    a.close().await.expect("closed");
+    let closed = a.send("bobby", "note", "").await;
+    assert!(matches!(closed, Err(Error::Closed)), "{closed:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

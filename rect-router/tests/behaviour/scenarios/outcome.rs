@@ -29,6 +29,7 @@ fn kind(error: &Error) -> &'static str {
         Error::Closed => "closed",
         Error::Dictionary(_) => "dictionary",
         Error::Name(_) | Error::Topic(TopicError::Robot(_)) => "name",
+        Error::NotReachable { .. } => "not_reachable",
         Error::NoService { .. } => "no_service",
         Error::Option { .. } => "option",
         Error::Service { .. } => "service",

@@ -19,6 +19,7 @@ use rect_core::{
     session::{
         decoder::Decoder,
         peers::{DirectPresence, EstablishedWait, PeerWait, PeersQuery},
+        recipients::{Reachability, Recipients},
     },
     storage::{Files, Source, Store},
     stream::{
@@ -173,6 +174,19 @@ fn make(driver: &Value, now: Instant) -> Box<dyn Described> {
     let timeout = Duration::from_secs_f64(driver["timeout_s"].as_f64().unwrap_or_default());
     match of("kind") {
         "peers_query" => plain(PeersQuery::new(place)),
+        "recipients" => Box::new(With(
+            Recipients::new(place),
+            |core: &mut Recipients, now: Instant, call: &str, arguments: &[Value]| {
+                assert_eq!(call, "find");
+                match core.find(&name(text(&arguments[0])), now) {
+                    Reachability::Reachable => json!(["reachable", []]),
+                    Reachability::Unreachable(others) => {
+                        json!(["unreachable", others.describe()])
+                    }
+                    Reachability::Unsure => json!(["unsure", []]),
+                }
+            },
+        )),
         "peer_wait" => plain(PeerWait::new(&place, &name(of("robot")), now, timeout)),
         "established_wait" => plain(EstablishedWait::new(&place, now, timeout)),
         "direct_presence" => {
