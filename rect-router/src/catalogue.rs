@@ -12,8 +12,12 @@ use rect_core::{
         token::{tokens, Token},
         Instance, Program, CATALOGUE, REGISTER,
     },
+    driver::Get,
     name::{key::KeySpace, topic::Topic},
-    session::service::{taken_over, PING},
+    session::{
+        requester_end,
+        service::{taken_over, PING},
+    },
 };
 use serde::Serialize;
 use zenoh::{
@@ -68,12 +72,29 @@ pub fn serve(session: &Session, place: &KeySpace) -> zenoh::Result<()> {
         .spawn(move || registrar.run(&next))?;
     let key = place.own(own, CATALOGUE);
     let key_of_answer = key.clone();
+    let (passing, at) = (session.clone(), place.clone());
     let on_query = move |query: Query| {
+        let payload = query.payload().map(ZBytes::to_bytes).unwrap_or_default();
+        if let Some((topic, get)) = requester_end::passed_on(&at, &payload) {
+            let programs = keeper.lock().programs(Instant::now());
+            if programs.iter().any(|program| program.serves(&topic)) {
+                pass_on(&passing, get);
+            }
+            return;
+        }
         let programs = keeper.lock().programs(Instant::now());
         reply::reply(&query, &key_of_answer, Ok(programs));
     };
     let queryable = session.declare_queryable(key).callback(on_query);
     queryable.background().wait()
+}
+
+/// Passes the announcement that a requester has closed its request to the services of the topic.
+fn pass_on(session: &Session, get: Get) {
+    let passed = session.get(get.selector).target(QueryTarget::AllComplete);
+    if let Err(error) = passed.timeout(get.timeout).callback(drop).wait() {
+        tracing::debug!("cannot pass on that a requester has closed its request: {error}");
+    }
 }
 
 /// Accepts and refuses registrations, on a thread of its own.

@@ -6,16 +6,14 @@
 pub mod keeper;
 pub mod presence;
 pub mod registration;
+pub mod requester_wait;
 pub mod token;
-
-use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+pub use crate::name::{instance::Instance, key::CATALOGUE};
 use crate::name::{topic::Topic, Name};
 
-/// The question to the registry.
-pub const CATALOGUE: &str = "catalogue";
 /// The part after `@rect/` of the key at which a program registers. Access control grants it separately (`@set`).
 pub const REGISTER: &str = "@set/program";
 /// The maximum number of programs of a robot.
@@ -51,10 +49,6 @@ pub struct Program {
     /// The services, in alphabetical order.
     pub services: Vec<ServiceEntry>,
 }
-
-/// A run of a program: a random number, in 8 hexadecimal digits.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub struct Instance(pub u32);
 
 /// Why bytes are not a catalogue, or not a registration.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -119,6 +113,11 @@ impl Program {
         self.services.insert(at, service);
     }
 
+    /// Returns whether the program serves a topic.
+    pub fn serves(&self, topic: &Topic) -> bool {
+        self.services.iter().any(|service| service.topic == *topic)
+    }
+
     /// Returns the name, or the text for a program without one.
     pub fn title(&self) -> &str {
         self.name
@@ -141,7 +140,8 @@ impl Program {
         let services = services.collect::<Result<Vec<_>, crate::name::topic::TopicError>>();
         Ok(Self {
             name: name.map_err(|error| CatalogueError(error.to_string()))?,
-            instance: Instance::parse(&document.instance)?,
+            instance: Instance::parse(&document.instance)
+                .ok_or_else(|| CatalogueError("an instance has 8 hexadecimal digits".to_owned()))?,
             services: services.map_err(|error| CatalogueError(error.to_string()))?,
         })
     }
@@ -170,37 +170,6 @@ fn parsed<'a, T: Deserialize<'a>>(bytes: &'a [u8]) -> Result<T, CatalogueError> 
         )));
     }
     serde_json::from_slice(bytes).map_err(|error| CatalogueError(error.to_string()))
-}
-
-impl Instance {
-    /// Parses 8 hexadecimal digits.
-    ///
-    /// # Errors
-    /// Returns a [`CatalogueError`] if the text is something else.
-    pub fn parse(text: &str) -> Result<Self, CatalogueError> {
-        let is_hex = text.len() == 8 && text.bytes().all(|byte| byte.is_ascii_hexdigit());
-        let number = is_hex.then(|| u32::from_str_radix(text, 16).ok()).flatten();
-        let error = || CatalogueError("an instance has 8 hexadecimal digits".to_owned());
-        number.map(Self).ok_or_else(error)
-    }
-}
-
-impl fmt::Display for Instance {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:08x}", self.0)
-    }
-}
-
-impl fmt::Debug for Instance {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        fmt::Display::fmt(self, f)
-    }
-}
-
-impl Serialize for Instance {
-    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(self)
-    }
 }
 
 #[allow(clippy::trivially_copy_pass_by_ref)] // serde's form.

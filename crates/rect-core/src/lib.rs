@@ -2,7 +2,7 @@
 //! implementation.
 //!
 //! [`message`] describes messages and their metadata, [`name`] who sends them and where they go, and [`codec`] makes their
-//! payloads smaller. [`session`], [`registry`], [`stream`] and [`transfer`] make the decisions of a session: plain structs and
+//! payloads smaller. [`session`], [`registry`], [`retry`], [`stream`] and [`transfer`] make the decisions of a session: plain structs and
 //! functions decide about a single call, and a [`driver`] decides what takes more than one call to Zenoh. [`storage`] reads
 //! and writes the files of transfers.
 pub mod catalogue;
@@ -13,6 +13,7 @@ pub mod driver;
 pub mod message;
 pub mod name;
 pub mod registry;
+pub mod retry;
 pub mod session;
 pub mod storage;
 pub mod stream;

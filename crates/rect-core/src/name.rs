@@ -1,4 +1,5 @@
 //! Defines the names of robots and fleets.
+pub mod instance;
 pub mod key;
 pub mod topic;
 

@@ -6,6 +6,7 @@ pub mod named_connection;
 pub mod observer;
 pub mod programs;
 pub mod selector;
+pub mod servers_query;
 pub mod topics;
 
 use std::time::Instant;

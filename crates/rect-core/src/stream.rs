@@ -35,7 +35,7 @@ pub mod video;
 pub mod watch;
 
 #[cfg(test)]
-mod simulation;
+pub(crate) mod simulation;
 #[cfg(test)]
 mod tests;
 

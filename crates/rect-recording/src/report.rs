@@ -152,7 +152,7 @@ impl Recorder {
         attachment: Option<&[u8]>,
         payload: &Payload,
     ) {
-        let Some(Requester { robot: sender, .. }) = Requester::of(key, attachment) else {
+        let Some(requester) = Requester::of(key, attachment) else {
             return;
         };
         let is_short = payload.bytes.len() <= MAX_VALUE_BYTES;
@@ -161,7 +161,7 @@ impl Recorder {
             ..Limits::default()
         };
         let report = RequestReport {
-            sender: sender.as_ref().map(Name::as_str),
+            sender: requester.robot().map(Name::as_str),
             topic: key.splitn(3, '/').nth(2).unwrap_or(key),
             value: is_short.then(|| payload.to_json(&limits)).flatten(),
             encoding: payload.encoding.as_str(),

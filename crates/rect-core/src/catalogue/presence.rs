@@ -13,6 +13,7 @@ use crate::{
     driver::{Action, Answer, Declaration, Driver, Event, Id, QueryId, Reaction, Step},
     message::{encoding::Encoding, payload::Payload},
     name::{key::KeySpace, topic::Topic, Name},
+    session::requester_end,
 };
 
 /// The pause before a registration that nobody has answered is repeated. It doubles until [`LONGEST_PAUSE`]: only the program's own
@@ -24,6 +25,8 @@ const BETWEEN_REVISIONS: Duration = Duration::from_secs(1);
 const REGISTRATION: Id = Id(0);
 const LINKS: Id = Id(1);
 const QUERYABLE: Id = Id(2);
+/// The query that passes on that a requester has closed its request.
+const PASSED_ON: Id = Id(3);
 /// The id of the token of revision 0; the next ones follow.
 const FIRST_TOKEN: u64 = 16;
 
@@ -49,7 +52,8 @@ pub struct ProgramPresence {
     pause: Duration,
     warnings: Warnings,
     actions: VecDeque<Action>,
-    questions: VecDeque<QueryId>,
+    /// The queries, and whether each is a question for the catalogue.
+    questions: VecDeque<(QueryId, bool)>,
     is_closed: bool,
 }
 
@@ -239,12 +243,15 @@ impl Driver for ProgramPresence {
                     self.revision = self.revision.wrapping_add(1);
                 }
             }
-            Event::Reply { reply, .. } => {
+            Event::Reply {
+                id: REGISTRATION,
+                reply,
+            } => {
                 let registered = registered(reply.map(|sample| sample.payload));
                 self.is_answered |= registered != Registered::Unanswered;
                 self.warnings.add(registered);
             }
-            Event::Ended { .. } => {
+            Event::Ended { id: REGISTRATION } => {
                 self.is_registering = false;
                 self.is_registered &= self.is_answered;
                 self.repeat_at = (!self.is_answered).then_some(now + self.pause);
@@ -253,7 +260,16 @@ impl Driver for ProgramPresence {
                     false => LONGEST_PAUSE.min(2 * self.pause),
                 };
             }
-            Event::Query { query, .. } => self.questions.push_back(query),
+            Event::Query { query, payload, .. } => {
+                match requester_end::passed_on(&self.place, &payload.bytes) {
+                    Some((topic, get)) if self.program.serves(&topic) => {
+                        let id = PASSED_ON;
+                        self.actions.push_back(Action::Get { id, get });
+                        self.questions.push_back((query, false));
+                    }
+                    passed_on => self.questions.push_back((query, passed_on.is_none())),
+                }
+            }
             Event::Closed => self.is_closed = true,
             _ => return Reaction::NONE,
         }
@@ -279,12 +295,15 @@ impl Driver for ProgramPresence {
         if let Some(action) = self.actions.pop_front() {
             return Step::Act(action);
         }
-        let Some(query) = self.questions.pop_front() else {
+        let Some((query, is_question)) = self.questions.pop_front() else {
             return Step::Wait(token_at.into_iter().chain(waits).min());
         };
-        let answer = Answer::Reply {
-            key: self.place.own(Some(&self.place.robot), CATALOGUE),
-            payload: Payload::new(format!("[{}]", self.program.to_json()), Encoding::JSON),
+        let answer = match is_question {
+            true => Answer::Reply {
+                key: self.place.own(Some(&self.place.robot), CATALOGUE),
+                payload: Payload::new(format!("[{}]", self.program.to_json()), Encoding::JSON),
+            },
+            false => Answer::None,
         };
         Step::Act(Action::Answer { query, answer })
     }

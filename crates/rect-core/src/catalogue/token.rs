@@ -1,4 +1,4 @@
-//! The liveliness token of a program: `<fleet>/<robot>/@rect/p/<program>/<instance>/<revision>`. A program without a name has `-` in
+//! The liveliness token of a program: `<fleet>/<robot>/@rect/p/<program>/<instance>/<revision>`. A program without a name has `~` in
 //! its place. The revision changes with what the program serves.
 use super::Instance;
 use crate::name::{key::KeySpace, Name};
@@ -49,7 +49,7 @@ impl Token {
         let token = Self {
             robot,
             program,
-            instance: Instance::parse(instance).ok()?,
+            instance: Instance::parse(instance)?,
             revision: revision.parse().ok()?,
         };
         parts.next().is_none().then_some(token)

@@ -1,10 +1,9 @@
 //! Encodes the metadata of requests and error replies: the header of a request (its sender, id and timeout), and the robot in an error
 //! reply, because Zenoh's error replies have no key.
+use std::{fmt, time::Duration};
+
 use super::{encoding::Encoding, payload::Payload};
-use crate::{
-    catalogue::Instance,
-    name::{Name, MAX_BYTES},
-};
+use crate::name::{instance::Instance, Name, MAX_BYTES};
 
 /// The first byte of a header. It differs from those of [`super::attachment`], and no text in UTF-8 begins with it.
 const MARK: u8 = 0xFD;
@@ -26,6 +25,23 @@ pub struct RequestId {
     pub run: Instance,
     /// The number of the request in this run.
     pub number: u32,
+}
+
+impl RequestId {
+    /// Parses the text of an id, `<run>/<number>`. `None` if it is something else.
+    pub fn parse(text: &str) -> Option<Self> {
+        let (run, number) = text.split_once('/')?;
+        Some(Self {
+            run: Instance::parse(run)?,
+            number: number.parse().ok()?,
+        })
+    }
+}
+
+impl fmt::Display for RequestId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}/{}", self.run, self.number)
+    }
 }
 
 /// The attachment of a request, at most 47 bytes: `0xFD`, flags, the timeout in milliseconds, the run and the number of the id, the run
@@ -99,6 +115,24 @@ impl RequestHeader {
 fn number(bytes: &[u8]) -> Option<(u32, &[u8])> {
     let (number, rest) = bytes.split_first_chunk()?;
     Some((u32::from_le_bytes(*number), rest))
+}
+
+/// Returns the attachment of the reply without payload that ends a stream of replies: `0xFD`, and their number (4 bytes, little endian).
+pub fn end_of_replies(count: u32) -> Vec<u8> {
+    [&[MARK][..], &count.to_le_bytes()].concat()
+}
+
+/// Returns the number of replies that the attachment of the last one states. `None` if it is another reply.
+pub fn count_of_replies(attachment: &[u8]) -> Option<u32> {
+    let (&MARK, count) = attachment.split_first()? else {
+        return None;
+    };
+    Some(u32::from_le_bytes(count.try_into().ok()?))
+}
+
+/// Returns a timeout as headers state it. A longer one counts as the longest.
+pub fn timeout_ms(timeout: Duration) -> u32 {
+    u32::try_from(timeout.as_millis()).unwrap_or(u32::MAX)
 }
 
 /// The last part of an error reply's encoding, before the name of the replying robot: `text/plain;from=wombat-2`.

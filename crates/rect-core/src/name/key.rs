@@ -13,6 +13,9 @@ use super::{
 /// The part of a key below which RECT's internal keys are. Wildcards do not match it.
 pub const OWN: &str = "@rect";
 
+/// The part after `@rect/` of the key of a robot's catalogue.
+pub const CATALOGUE: &str = "catalogue";
+
 /// The keys of one robot of a fleet.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct KeySpace {

@@ -24,7 +24,7 @@ const MAX_KEPT: usize = 64;
 const TOKENS: Id = Id(0);
 
 /// The programs of a robot, each with the revision of what it serves.
-type Revisions = BTreeSet<(Instance, u32)>;
+pub(super) type Revisions = BTreeSet<(Instance, u32)>;
 
 /// The last catalogues of robots. Clones share them.
 #[derive(Clone, Debug, Default)]
@@ -67,13 +67,14 @@ impl Catalogues {
     }
 
     /// Returns the catalogue of a robot, if it is that of these revisions. A robot without programs may be one that cannot be reached.
-    fn get(&self, robot: &Name, revisions: &Revisions) -> Option<Payload> {
+    pub(super) fn get(&self, robot: &Name, revisions: &Revisions) -> Option<Payload> {
         let kept = self.lock();
         let (of, catalogue) = kept.get(robot)?;
         (!revisions.is_empty() && of == revisions).then(|| catalogue.clone())
     }
 
-    fn keep(&self, robot: &Name, revisions: Revisions, catalogue: &Payload) {
+    /// Keeps the catalogue of a robot.
+    pub(super) fn keep(&self, robot: &Name, revisions: Revisions, catalogue: &Payload) {
         let mut kept = self.lock();
         if kept.len() >= MAX_KEPT && !kept.contains_key(robot) {
             kept.clear();

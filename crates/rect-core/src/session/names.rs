@@ -12,6 +12,27 @@ pub fn reachable_robots(robot: &Name, reachable: &[Name]) -> String {
     in_words("reachable robots", robot.as_str(), names)
 }
 
+/// Returns the error that no program serves `topic` at a robot, or in the fleet (`None`).
+pub fn no_service(robot: Option<&Name>, topic: &str, reachable: &[Name]) -> String {
+    match robot {
+        Some(robot) => {
+            let reachable = reachable_robots(robot, reachable);
+            format!("no program serves {topic} at {robot}; {reachable}")
+        }
+        None => {
+            let names = reachable.iter().map(Name::as_str);
+            let reachable = in_words("reachable robots", "", names);
+            format!("no program of the fleet serves {topic}; {reachable}")
+        }
+    }
+}
+
+/// Returns the description of the problem that a robot, to which a program sends, is not reachable.
+pub fn not_reachable(robot: &Name, reachable: &[Name]) -> String {
+    let names = reachable_robots(robot, reachable);
+    format!("{robot} is not reachable; {names}")
+}
+
 /// Returns names in words, and the one that `name` may be a misspelling of: `did you mean arm? (its streams: arm, leg)`.
 pub(super) fn in_words<'a>(
     what: &str,

@@ -5,9 +5,8 @@ use std::{
 };
 
 use crate::{
-    catalogue::Instance,
-    message::request::{RequestHeader, RequestId},
-    name::key::KeySpace,
+    message::request::{timeout_ms, RequestHeader, RequestId},
+    name::{instance::Instance, key::KeySpace},
 };
 
 /// The ids of the requests of one run of a program.
@@ -32,7 +31,7 @@ impl RequestIds {
     pub fn header(&self, place: &KeySpace, timeout: Duration) -> RequestHeader {
         RequestHeader {
             sender: place.robot.clone(),
-            timeout_ms: u32::try_from(timeout.as_millis()).unwrap_or(u32::MAX),
+            timeout_ms: timeout_ms(timeout),
             id: RequestId {
                 run: self.run,
                 number: self.next.fetch_add(1, Ordering::Relaxed),

@@ -2,13 +2,12 @@
 use std::time::Duration;
 
 use crate::{
-    catalogue::Instance,
     message::{
         encoding::Encoding,
         payload::Payload,
-        request::{error_to_payload, RequestHeader, DEFAULT_TIMEOUT_MS},
+        request::{error_to_payload, RequestHeader, RequestId, DEFAULT_TIMEOUT_MS},
     },
-    name::Name,
+    name::{instance::Instance, Name},
 };
 
 /// The number of requests that may wait for the program. Further ones are refused at once.
@@ -21,6 +20,14 @@ pub const PING: &str = "@ping";
 /// The beginning of the parameters of the query with which a router tells a program that another one serves its topic. The run of the
 /// program follows.
 const TAKEN_OVER: &str = "@taken=";
+
+/// The beginning of the parameters of the query which announces that a requester has closed a request, whose id follows.
+const CLOSED: &str = "@closed=";
+
+/// Returns the parameters of the query that announces the end of a request.
+pub(super) fn requester_closed(id: RequestId) -> String {
+    format!("{CLOSED}{id}")
+}
 
 /// Returns the parameters of the query that tells a run of a program that another one serves its topic.
 pub fn taken_over(instance: Instance) -> String {
@@ -37,6 +44,8 @@ pub enum ServiceQuery {
     /// Another program of the robot may serve the topic now. Since anybody can send this, the library asks its router: the service ends
     /// if that refuses to register it again.
     TakenOver,
+    /// The requester has closed the request of this id.
+    Closed(RequestId),
     /// The router means another program of the robot.
     OfAnother,
 }
@@ -44,6 +53,9 @@ pub enum ServiceQuery {
 impl ServiceQuery {
     /// Returns the meaning of the parameters of a query, for a run of a program.
     pub fn of(parameters: &str, own: Instance) -> Self {
+        if let Some(id) = parameters.strip_prefix(CLOSED) {
+            return RequestId::parse(id).map_or(Self::OfAnother, Self::Closed);
+        }
         match parameters.strip_prefix(TAKEN_OVER) {
             Some(instance) if instance == own.to_string() => Self::TakenOver,
             Some(_) => Self::OfAnother,
@@ -128,6 +140,10 @@ mod tests {
     #[test]
     fn queries_of_the_router_are_no_requests() {
         let own = Instance(0x1f);
+        let closed = RequestId {
+            run: own,
+            number: 7,
+        };
         for (parameters, meaning) in [
             ("", ServiceQuery::Request),
             ("_time=now", ServiceQuery::Request),
@@ -135,6 +151,8 @@ mod tests {
             (&taken_over(own), ServiceQuery::TakenOver),
             (&taken_over(Instance(1)), ServiceQuery::OfAnother),
             ("@taken=", ServiceQuery::OfAnother),
+            ("@closed=0000001f/7", ServiceQuery::Closed(closed)),
+            ("@closed=7", ServiceQuery::OfAnother),
         ] {
             assert_eq!(ServiceQuery::of(parameters, own), meaning, "{parameters}");
         }
