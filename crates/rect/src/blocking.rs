@@ -30,9 +30,9 @@ pub use self::{
     transfer::Transfers,
 };
 use crate::{
-    session, Connection, Counters, Error, Event, FromPayload, Message, Name, NamedConnection,
-    Options, Pattern, Payload, Program, QueueOptions, Reply, Service, ServiceOptions, ToPayload,
-    Topic, Urgency,
+    session, Connection, Counters, Error, Event, FromPayload, Gathered, Message, Name,
+    NamedConnection, Options, Pattern, Payload, Program, QueueOptions, Reply, Service,
+    ServiceEntry, ServiceOptions, ToPayload, Topic, Urgency,
 };
 use rect_core::codec::{dictionary::Dictionary, Codec};
 
@@ -55,7 +55,7 @@ pub struct Subscriber<T: FromPayload = Payload> {
     runtime: Arc<Runtime>,
 }
 
-/// Receives the replies to one request; created by [`Robot::request_all`].
+/// Receives the replies to one request; created by [`Robot::request_all`] and [`Robot::request_stream`].
 ///
 /// The iterator blocks until the next reply, and ends when all services have replied. Dropping it cancels the request.
 #[derive(Debug)]
@@ -130,6 +130,15 @@ impl Robot {
     pub fn with_timeout(&self, timeout: Duration) -> Self {
         Self {
             robot: self.robot.with_timeout(timeout),
+            runtime: self.runtime.clone(),
+        }
+    }
+
+    /// Returns a handle whose requests are repeated, and carried out at most once; see [`crate::Robot::retrying`].
+    #[must_use]
+    pub fn retrying(&self) -> Self {
+        Self {
+            robot: self.robot.retrying(),
             runtime: self.runtime.clone(),
         }
     }
@@ -357,6 +366,23 @@ impl Robot {
         })
     }
 
+    /// Sends a request to the service `topic` of `robot`, which sends several replies, such as the results of a scan.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::request_stream`].
+    pub fn request_stream<T: FromPayload>(
+        &self,
+        robot: impl TryInto<Name, Error: Into<Error>>,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
+        value: impl ToPayload,
+    ) -> Result<Replies<T>, Error> {
+        let asked = self.robot.request_stream::<T>(robot, topic, value);
+        Ok(Replies {
+            replies: self.runtime.wait(asked)?,
+            runtime: self.runtime.clone(),
+        })
+    }
+
     /// Declares the service `topic`, and replies to each request with the result of `answer`, until the returned service is
     /// dropped. An error, or a panic of `answer`, arrives at the requester as [`Error::Service`].
     ///
@@ -421,6 +447,17 @@ impl Robot {
         robot: impl TryInto<Name, Error: Into<Error>>,
     ) -> Result<Vec<Program>, Error> {
         self.runtime.wait(self.robot.programs(robot))
+    }
+
+    /// Returns what the programs of `robot` serve, in alphabetical order of the topics.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::services`].
+    pub fn services(
+        &self,
+        robot: impl TryInto<Name, Error: Into<Error>>,
+    ) -> Result<Vec<ServiceEntry>, Error> {
+        self.runtime.wait(self.robot.services(robot))
     }
 
     /// Returns the names of the other robots of the fleet that are reachable now, in alphabetical order.
@@ -501,6 +538,16 @@ impl<T: FromPayload> Iterator for Subscriber<T> {
 
     fn next(&mut self) -> Option<Message<T::Value>> {
         self.runtime.wait(self.subscriber.next())
+    }
+}
+
+impl<T: FromPayload> Replies<T> {
+    /// Blocks until all robots have replied that serve the topic, or the time is up, and returns the outcome of each of them.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Replies::gather`].
+    pub fn gather(self) -> Result<Gathered<T::Value>, Error> {
+        self.runtime.wait(self.replies.gather())
     }
 }
 

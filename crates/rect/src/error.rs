@@ -8,7 +8,11 @@ use rect_core::{
         topic::{Topic, TopicError},
         Name, NameError,
     },
-    session::{login::LoginRefused, names::reachable_robots, router::WrongRobot},
+    session::{
+        login::LoginRefused,
+        names::{no_service, not_reachable},
+        router::WrongRobot,
+    },
     stream::options::OptionError,
     text::humanize,
     transfer::{Fault, OfferError, Refusal},
@@ -75,11 +79,20 @@ pub enum Error {
         /// The reason that Zenoh reports, or the values that RECT allows.
         source: zenoh::Error,
     },
-    /// No program provides the service. Is the robot reachable, and is its program running?
-    #[error("no program serves {topic} at {robot}; {}", reachable_robots(.robot, .available))]
-    NoService {
-        /// The robot that was asked.
+    /// The robot to which a message is sent is not reachable. Check its name, or wait for it
+    /// ([`Robot::wait_for_peer`](crate::Robot::wait_for_peer)).
+    #[error("{}", not_reachable(.robot, .available))]
+    NotReachable {
+        /// The recipient.
         robot: Name,
+        /// The reachable robots.
+        available: Vec<Name>,
+    },
+    /// No program provides the service. Is the robot reachable, and is its program running?
+    #[error("{}", no_service(.robot.as_ref(), .topic, .available))]
+    NoService {
+        /// The robot that was asked; `None` if all were.
+        robot: Option<Name>,
         /// The topic of the service.
         topic: String,
         /// The reachable robots.
@@ -228,6 +241,14 @@ impl Error {
                 return Self::Closed;
             }
             Self::Zenoh { operation, source }
+        }
+    }
+
+    /// Returns the robot that has sent the error.
+    pub(crate) fn sender(&self) -> Option<Name> {
+        match self {
+            Self::Service { robot, .. } => robot.clone(),
+            _ => None,
         }
     }
 

@@ -6,6 +6,7 @@ mod declared;
 mod decoder;
 mod events;
 mod executor;
+mod gathered;
 mod name_check;
 mod next_item;
 mod options;
@@ -14,12 +15,15 @@ mod publisher;
 mod querier;
 mod queries;
 mod receive_queue;
+mod recipients;
 #[cfg(feature = "recording")]
 mod recorded;
 #[cfg(feature = "recording")]
 mod recording;
 mod registry;
 mod request;
+mod requester;
+mod retry;
 mod robot;
 mod router_links;
 mod service;
@@ -34,6 +38,7 @@ mod waiting;
 mod warnings;
 
 pub use events::Events;
+pub use gathered::{Gathered, Outcome};
 pub use options::{connect, Options};
 pub use publisher::Publisher;
 #[cfg(feature = "recording")]

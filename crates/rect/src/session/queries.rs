@@ -114,7 +114,14 @@ pub(super) fn builder<'a>(
 
 /// Answers a query. An answer that cannot be sent is repeated by the protocols that need it.
 pub(super) fn answer(query: &Query, answer: Answer) {
-    let sent = match answer {
+    if let Err(error) = try_answer(query, answer) {
+        tracing::debug!("cannot reply on {}: {error}", query.key_expr());
+    }
+}
+
+/// Answers a query.
+pub(super) fn try_answer(query: &Query, answer: Answer) -> zenoh::Result<()> {
+    match answer {
         Answer::Reply { key, payload } => {
             let reply = query.reply(key, payload.bytes);
             reply.encoding(payload.encoding.as_str()).wait()
@@ -124,9 +131,6 @@ pub(super) fn answer(query: &Query, answer: Answer) {
             reply.encoding(payload.encoding.as_str()).wait()
         }
         Answer::None => Ok(()),
-    };
-    if let Err(error) = sent {
-        tracing::debug!("cannot reply on {}: {error}", query.key_expr());
     }
 }
 

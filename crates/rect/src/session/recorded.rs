@@ -191,7 +191,7 @@ impl Recorded {
         let Ok(reply) = replies.recv_async().await else {
             let service = "recording (`rect record`)".to_owned();
             let recorder = self.recorder.clone();
-            return Err(self.robot.no_service(recorder, service).await);
+            return Err(self.robot.no_service(Some(recorder), service).await);
         };
         let sample = reply.into_result().map_err(|error| self.failure(&error))?;
         let bytes = sample.payload().to_bytes().into_owned();

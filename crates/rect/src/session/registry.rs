@@ -3,7 +3,7 @@
 use std::convert::Infallible;
 
 use rect_core::{
-    catalogue::{self, Program},
+    catalogue::{self, Program, ServiceEntry},
     cause::Cause,
     driver::Driver,
     message::payload::{Payload, PayloadError},
@@ -118,6 +118,32 @@ impl Robot {
         Ok(read?)
     }
 
+    /// Returns what the programs of `robot` serve, in alphabetical order of the topics. [`programs`](Self::programs) also states which
+    /// program serves what.
+    ///
+    /// ```no_run
+    /// # async fn list(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// for service in robot.services("wombat-2").await? {
+    ///     println!("{}: {}", service.topic, service.about);
+    /// }
+    /// # Ok(()) }
+    /// ```
+    ///
+    /// # Errors
+    /// Returns the errors of [`programs`](Self::programs).
+    ///
+    /// # Cancel safety
+    /// Dropping the future abandons the question. Nothing else changes.
+    pub async fn services(
+        &self,
+        robot: impl TryInto<Name, Error: Into<Error>>,
+    ) -> Result<Vec<ServiceEntry>, Error> {
+        let programs = self.programs(robot).await?.into_iter();
+        let mut services: Vec<_> = programs.flat_map(|program| program.services).collect();
+        services.sort_by(|one, other| one.topic.as_str().cmp(other.topic.as_str()));
+        Ok(services)
+    }
+
     /// Adds a named connection to this robot's router, replacing the one of the same name. The router dials it from now on,
     /// also after a restart. If an identical connection exists, it stays connected.
     ///
@@ -209,7 +235,7 @@ impl Robot {
                 timeout: TIMEOUT,
             },
             RegistryError::NoService { service, available } => Error::NoService {
-                robot,
+                robot: Some(robot),
                 topic: service,
                 available,
             },

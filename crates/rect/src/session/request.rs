@@ -9,7 +9,7 @@ use std::{
 
 use futures_core::Stream;
 use rect_core::{
-    driver::Sample,
+    driver::Get,
     message::{
         payload::{FromPayload, Payload, ToPayload},
         queue::{Queue, WhenFull},
@@ -24,11 +24,11 @@ use zenoh::cancellation::CancellationToken;
 
 use super::{
     convert,
-    decoder::Decoder,
     next_item::NextItem,
     querier::Querier,
     queries,
     receive_queue::{QueueWriter, ReceiveQueue},
+    retry::Retried,
     robot::Robot,
 };
 use crate::error::{valid, Error};
@@ -44,18 +44,21 @@ pub struct Reply<T = ()> {
     pub value: T,
 }
 
-/// Receives the replies to one request; created by [`Robot::request_all`]. `T` is the type of their values. It also
-/// implements [`futures_core::Stream`]. Dropping it cancels the request.
+/// Receives the replies to one request; created by [`Robot::request_all`] and [`Robot::request_stream`]. `T` is the type of their
+/// values. It also implements [`futures_core::Stream`]. Dropping it cancels the request.
 pub struct Replies<T: FromPayload = Payload> {
-    arriving: Arc<Arriving>,
+    pub(super) arriving: Arc<Arriving>,
     next: NextItem<Result<Reply<T::Value>, Error>>,
     cancellation: CancellationToken,
 }
 
 /// The replies to one request that the program has not read.
-struct Arriving {
+pub(super) struct Arriving {
     queue: Arc<ReceiveQueue<zenoh::query::Reply>>,
-    decoder: Arc<Decoder>,
+    pub(super) robot: Robot,
+    topic: Topic,
+    /// The robot that was asked; `None` if all were.
+    asked: Option<Name>,
     state: Mutex<State>,
     querier: Arc<Querier>,
     sent: Sent,
@@ -65,7 +68,12 @@ struct State {
     inquiry: Inquiry,
     /// The replies that were being decoded when the program dropped the future; the next call continues.
     undecoded: Vec<Reply>,
+    /// Whether the program has received the error with which a stream ended.
+    is_end_reported: bool,
 }
+
+/// The robot that a reply comes from, if it is stated, and the reply or an error.
+pub(super) type Received<T> = (Option<Name>, Result<Reply<T>, Error>);
 
 /// A reply that is being decoded. It is kept for the next call unless it is taken.
 struct Undecoded<'a> {
@@ -95,7 +103,8 @@ impl Robot {
     /// the topic, [`Error::Interrupted`] if one may have received the request and does not reply because it ended, or a router or
     /// link did, [`Error::TimedOut`] if no reply arrives in time ([`with_timeout`](Self::with_timeout)); [`Error::Name`], [`Error::Topic`] or
     /// [`Error::Payload`] if an argument is invalid, or if the reply does not fit `T`; [`Error::Codec`] if the codec of this
-    /// handle does not support the value or the reply cannot be decoded; [`Error::Closed`] if the session is closed.
+    /// handle does not support the value or the reply cannot be decoded; [`Error::Option`] if the timeout of a
+    /// [request that is repeated](Self::retrying) is too long; [`Error::Closed`] if the session is closed.
     ///
     /// # Cancel safety
     /// Dropping the future cancels the request, whose reply is discarded. The service may have received it, and carry
@@ -107,22 +116,63 @@ impl Robot {
         value: impl ToPayload,
     ) -> Result<Reply<T::Value>, Error> {
         let (robot, topic): (Name, Topic) = (valid(robot)?, valid(topic)?);
-        let (asked, service) = (robot.clone(), topic.to_string());
-        let replies = self.query::<T>(Some(robot), topic, value).await?;
+        let payload = self.payload(value)?;
+        let (mut once, mut rest) = (self, None);
+        if self.retries {
+            // Boxed: this future is large, and few requests need it.
+            match Box::pin(self.retried(&robot, &topic, payload.clone())).await? {
+                Retried::Ended { kind, inquiry } => {
+                    let mut reply = Reply::of(kind, &inquiry)?;
+                    let decoder = &self.inner.decoder;
+                    decoder.decode(&reply.sender, &mut reply.payload).await?;
+                    return reply.typed::<T>();
+                }
+                Retried::Plain { left } => once = rest.insert(self.with_timeout(left)),
+            }
+        }
+        let replies = once.query::<T>(Some(robot), topic, payload, false).await?;
         match replies.next().await {
             Some(reply) => reply,
-            None => match replies.arriving.unanswered() {
-                Unanswered::NoService => Err(self.no_service(asked, service).await),
-                Unanswered::Interrupted => Err(Error::Interrupted {
-                    robot: asked,
-                    topic: service,
-                }),
-            },
+            None => Err(replies.arriving.unanswered().await),
         }
     }
 
+    /// Sends a request to the service `topic` of `robot`, which sends several replies, such as the results of a scan.
+    ///
+    /// The stream ends with `None` only if all replies have arrived. If the program, a router or the link ends midway, the last item
+    /// is [`Error::Interrupted`]. All replies have to arrive in time ([`with_timeout`](Self::with_timeout)). Dropping the stream ends
+    /// the request, which its service learns ([`Request::is_wanted`](crate::Request::is_wanted)).
+    ///
+    /// ```no_run
+    /// # async fn scan(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let replies = robot.request_stream::<f64>("wombat-2", "scan", "").await?;
+    /// while let Some(reply) = replies.next().await {
+    ///     println!("{}", reply?.value);
+    /// }
+    /// # Ok(()) }
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Name`], [`Error::Topic`] or [`Error::Payload`] if an argument is invalid, [`Error::Codec`] if the codec of this handle
+    /// does not support the value, and [`Error::Closed`] if the session is closed. The stream returns the other errors of
+    /// [`request`](Self::request).
+    ///
+    /// # Cancel safety
+    /// Dropping the future cancels the request. The service may have received it, and carry it out.
+    pub async fn request_stream<T: FromPayload>(
+        &self,
+        robot: impl TryInto<Name, Error: Into<Error>>,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
+        value: impl ToPayload,
+    ) -> Result<Replies<T>, Error> {
+        let (robot, topic) = (valid(robot)?, valid(topic)?);
+        let payload = self.payload(value)?;
+        self.query(Some(robot), topic, payload, true).await
+    }
+
     /// Sends a request to the service `topic` of all robots that provide it. Replies arrive until all services have replied
-    /// or the time is up ([`with_timeout`](Self::with_timeout)).
+    /// or the time is up ([`with_timeout`](Self::with_timeout)). [`Replies::gather`] waits for all of them, and also names the robots
+    /// that did not reply.
     ///
     /// ```no_run
     /// # async fn request(robot: rect::Robot) -> Result<(), rect::Error> {
@@ -147,23 +197,27 @@ impl Robot {
         topic: impl TryInto<Topic, Error: Into<Error>>,
         value: impl ToPayload,
     ) -> Result<Replies<T>, Error> {
-        self.query(None, valid(topic)?, value).await
+        let topic = valid(topic)?;
+        let payload = self.payload(value)?;
+        self.query(None, topic, payload, false).await
     }
 
     async fn query<T: FromPayload>(
         &self,
         robot: Option<Name>,
         topic: Topic,
-        value: impl ToPayload,
+        payload: Payload,
+        is_stream: bool,
     ) -> Result<Replies<T>, Error> {
         let inquiry = Inquiry::new(
             self.inner.place.clone(),
-            robot,
-            topic,
+            robot.clone(),
+            topic.clone(),
             self.timeout,
             &self.inner.request_ids,
         );
-        let get = inquiry.get(self.payload(value)?, self.urgency());
+        let inquiry = if is_stream { inquiry.stream() } else { inquiry };
+        let get = inquiry.get(payload, self.urgency());
         let queue = ReceiveQueue::new(Queue::new(MAX_REPLIES, WhenFull::Block));
         let cancellation = CancellationToken::default();
         // Zenoh drops the callback after the last reply.
@@ -183,11 +237,14 @@ impl Robot {
         let state = State {
             inquiry,
             undecoded: Vec::new(),
+            is_end_reported: false,
         };
         Ok(Replies {
             arriving: Arc::new(Arriving {
                 queue,
-                decoder: self.inner.decoder.clone(),
+                robot: self.clone(),
+                topic,
+                asked: robot,
                 state: Mutex::new(state),
                 querier,
                 sent,
@@ -197,8 +254,8 @@ impl Robot {
         })
     }
 
-    /// Returns the error that no program of `robot` serves `topic`.
-    pub(super) async fn no_service(&self, robot: Name, topic: String) -> Error {
+    /// Returns the error that no program of `robot`, or of the fleet (`None`), serves `topic`.
+    pub(super) async fn no_service(&self, robot: Option<Name>, topic: String) -> Error {
         Error::NoService {
             robot,
             topic,
@@ -208,63 +265,10 @@ impl Robot {
 }
 
 impl Reply {
-    fn typed<T: FromPayload>(self) -> Result<Reply<T::Value>, Error> {
-        Ok(Reply {
-            value: T::from_payload(&self.payload)?,
-            sender: self.sender,
-            payload: self.payload,
-        })
-    }
-}
-
-impl<T: FromPayload> Replies<T> {
-    /// Waits for the next reply; returns `None` once all services have replied, or after the timeout was reported.
-    ///
-    /// # Errors
-    /// [`Error::Service`] if a service replied with an error, [`Error::Payload`] if a reply does not fit `T`, [`Error::Codec`] if
-    /// it cannot be decoded, [`Error::TimedOut`] if the timeout expired before all services had replied, and [`Error::Zenoh`] if
-    /// the key of a reply is not that of a robot. Further calls return the other replies.
-    ///
-    /// # Cancel safety
-    /// If the future is dropped, no reply is lost: the next call returns it. The same holds for the [`Stream`], which keeps its
-    /// wait.
-    pub async fn next(&self) -> Option<Result<Reply<T::Value>, Error>> {
-        self.arriving.next::<T>().await
-    }
-}
-
-impl Arriving {
-    async fn next<T: FromPayload>(&self) -> Option<Result<Reply<T::Value>, Error>> {
-        let known = self.state().undecoded.pop();
-        let reply = match known {
-            Some(reply) => reply,
-            // Zenoh has a timer for each request; a second one would wake a thread each time.
-            None => match self.on_reply(convert::reply(self.queue.pop().await?)) {
-                Ok(reply) => reply,
-                Err(error) => return Some(Err(error)),
-            },
-        };
-        // The program may drop the future meanwhile.
-        let mut undecoded = Undecoded {
-            reply: Some(reply),
-            arriving: self,
-        };
-        let Reply {
-            sender, payload, ..
-        } = undecoded.reply.as_mut()?;
-        let decoded = self.decoder.decode(sender, payload).await;
-        let reply = undecoded.reply.take()?;
-        Some(
-            decoded
-                .map_err(Error::from)
-                .and_then(|()| reply.typed::<T>()),
-        )
-    }
-
-    fn on_reply(&self, reply: Result<Sample, Payload>) -> Result<Reply, Error> {
-        let inquiry = &mut self.state().inquiry;
-        match inquiry.on_reply(reply) {
-            ReplyKind::Answer { sender, payload } => Ok(Reply {
+    /// Returns the reply that Zenoh has delivered, before it is decoded.
+    fn of(kind: ReplyKind, inquiry: &Inquiry) -> Result<Self, Error> {
+        match kind {
+            ReplyKind::Answer { sender, payload } => Ok(Self {
                 sender,
                 payload,
                 value: (),
@@ -281,9 +285,119 @@ impl Arriving {
         }
     }
 
-    /// Returns why the request ended without a reply.
-    fn unanswered(&self) -> Unanswered {
-        self.querier.served.unanswered(self.sent)
+    fn typed<T: FromPayload>(self) -> Result<Reply<T::Value>, Error> {
+        Ok(Reply {
+            value: T::from_payload(&self.payload)?,
+            sender: self.sender,
+            payload: self.payload,
+        })
+    }
+}
+
+impl<T: FromPayload> Replies<T> {
+    /// Waits for the next reply; returns `None` once all services have replied, or after the timeout was reported.
+    ///
+    /// # Errors
+    /// [`Error::Interrupted`] and [`Error::NoService`] at the end of a [stream](Robot::request_stream) that is not complete;
+    /// [`Error::Service`] if a service replied with an error, [`Error::Payload`] if a reply does not fit `T`, [`Error::Codec`] if
+    /// it cannot be decoded, [`Error::TimedOut`] if the timeout expired before all services had replied, and [`Error::Zenoh`] if
+    /// the key of a reply is not that of a robot. Further calls return the other replies.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, no reply is lost: the next call returns it. The same holds for the [`Stream`], which keeps its
+    /// wait.
+    pub async fn next(&self) -> Option<Result<Reply<T::Value>, Error>> {
+        self.arriving.next::<T>().await
+    }
+}
+
+impl Arriving {
+    async fn next<T: FromPayload>(&self) -> Option<Result<Reply<T::Value>, Error>> {
+        let (_, reply) = self.received::<T>().await?;
+        Some(reply)
+    }
+
+    /// Waits for the next reply or error.
+    pub(super) async fn received<T: FromPayload>(&self) -> Option<Received<T::Value>> {
+        let undecoded = self.state().undecoded.pop();
+        let reply = match undecoded {
+            Some(reply) => reply,
+            None => match self.arrived().await? {
+                Ok(reply) => reply,
+                Err(error) => return Some((error.sender(), Err(error))),
+            },
+        };
+        // The program may drop the future meanwhile.
+        let mut undecoded = Undecoded {
+            reply: Some(reply),
+            arriving: self,
+        };
+        let Reply {
+            sender, payload, ..
+        } = undecoded.reply.as_mut()?;
+        let decoder = &self.robot.inner.decoder;
+        let decoded = decoder.decode(sender, payload).await;
+        let reply = undecoded.reply.take()?;
+        let sender = reply.sender.clone();
+        let reply = decoded
+            .map_err(Error::from)
+            .and_then(|()| reply.typed::<T>());
+        Some((Some(sender), reply))
+    }
+
+    /// Waits for the next reply that is not the mark of a stream's end.
+    async fn arrived(&self) -> Option<Result<Reply, Error>> {
+        loop {
+            // Zenoh has a timer for each request; a second one would wake a thread each time.
+            let Some(reply) = self.queue.pop().await else {
+                let is_complete = {
+                    let mut state = self.state();
+                    let was_reported = std::mem::replace(&mut state.is_end_reported, true);
+                    was_reported || state.inquiry.is_complete()
+                };
+                if is_complete {
+                    return None;
+                }
+                return Some(Err(self.unanswered().await));
+            };
+            let inquiry = &mut self.state().inquiry;
+            if let Some(kind) = inquiry.on_reply(convert::reply(reply)) {
+                return Some(Reply::of(kind, inquiry));
+            }
+        }
+    }
+
+    /// Returns why the request ended without a reply, or without all replies of a stream.
+    async fn unanswered(&self) -> Error {
+        let is_started = self.state().inquiry.is_started();
+        match (&self.asked, self.querier.served.unanswered(self.sent)) {
+            (Some(robot), unanswered) if is_started || unanswered == Unanswered::Interrupted => {
+                self.interrupted(robot.clone())
+            }
+            (asked, _) => self.no_service(asked.clone()).await,
+        }
+    }
+
+    /// Returns the error that a robot may have carried out the request.
+    pub(super) fn interrupted(&self, robot: Name) -> Error {
+        Error::Interrupted {
+            robot,
+            topic: self.topic.to_string(),
+        }
+    }
+
+    /// Returns the error that no program of a robot, or of the fleet (`None`), serves the topic.
+    pub(super) async fn no_service(&self, robot: Option<Name>) -> Error {
+        self.robot.no_service(robot, self.topic.to_string()).await
+    }
+
+    pub(super) fn topic(&self) -> &Topic {
+        &self.topic
+    }
+
+    /// Closes the request. Returns the query that announces that, if the service waits for it.
+    fn close(&self) -> Option<Get> {
+        self.state().inquiry.close()
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
@@ -322,5 +436,11 @@ impl<T: FromPayload> Drop for Replies<T> {
         // is running now and finds the queue closed. That wait is not needed, and a task for it would wake a thread.
         let cancelled = pin!(self.cancellation.cancel().into_future());
         let _ = cancelled.poll(&mut Context::from_waker(Waker::noop()));
+        if let Some(get) = self.arriving.close() {
+            let inner = &self.arriving.robot.inner;
+            let session = inner.session.clone();
+            // It must not block the program.
+            (inner.runtime).spawn(async move { queries::get(&session, get, |_| {}, || {}) });
+        }
     }
 }

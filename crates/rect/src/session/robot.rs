@@ -17,19 +17,21 @@ use rect_core::{
     },
     name::{key::KeySpace, topic::Topic, Name},
     registry::catalogue_query::Catalogues,
+    retry::once::Once,
     session::{
         declarations::Declarations, peers::DirectPresence, publication::PublicationKey,
         request_ids::RequestIds,
     },
 };
-use tokio::runtime::Handle;
-use zenoh::{Config, Session};
+use tokio::{runtime::Handle, sync::OnceCell};
+use zenoh::{query::Query, Config, Session};
 
 use super::{
     decoder::Decoder,
     executor::{Executor, Running},
     publication::{Publication, Put},
     querier::Querier,
+    recipients::Recipients,
     router_links::RouterLinks,
     shared::NoItems,
     urgency_sessions::UrgencySessions,
@@ -49,6 +51,8 @@ pub struct Robot {
     /// The time after which messages expire.
     lifetime: Option<Duration>,
     pub(super) timeout: Duration,
+    /// Whether requests are repeated.
+    pub(super) retries: bool,
 }
 
 pub(super) struct Inner {
@@ -67,6 +71,9 @@ pub(super) struct Inner {
     /// The last catalogues of robots.
     pub(super) catalogues: Catalogues,
     pub(super) request_ids: RequestIds,
+    /// The requests that this program carries out at most once.
+    pub(super) once: Once<Query>,
+    recipients: OnceCell<Recipients>,
     /// The presence of this program.
     pub(super) program: Running<ProgramPresence>,
     /// The presence of the robot; `None` if its router has one.
@@ -98,6 +105,7 @@ impl Robot {
         };
         let instance: u32 = rand::random();
         let request_ids = RequestIds::new(Instance(instance), program.is_some());
+        let once = Once::new(place.robot.clone(), Instance(instance));
         let program = ProgramPresence::new(place.clone(), program, instance, direct);
         let executor = Executor::new(&session, program, WarningSink);
         let program = executor.start(&Handle::current())?;
@@ -116,6 +124,8 @@ impl Robot {
             router_links,
             catalogues: Catalogues::default(),
             request_ids,
+            once,
+            recipients: OnceCell::new(),
             direct,
             program,
             _presence: presence,
@@ -126,6 +136,7 @@ impl Robot {
             codec: None,
             lifetime: None,
             timeout: Duration::from_millis(DEFAULT_TIMEOUT_MS.into()),
+            retries: false,
         })
     }
 
@@ -184,6 +195,28 @@ impl Robot {
     pub fn with_timeout(&self, timeout: Duration) -> Self {
         Self {
             timeout,
+            ..self.clone()
+        }
+    }
+
+    /// Returns a handle whose [`request`](Self::request) is repeated while the link or a router is interrupted, and is carried out at
+    /// most once. For requests that must not be carried out twice, such as "grab".
+    ///
+    /// The request names the run of the program that serves the topic. That run carries it out once, and repeats its first reply. A
+    /// program that was restarted refuses it: the error is [`Error::Interrupted`](crate::Error::Interrupted), and the request was
+    /// carried out at most once, before the restart. The timeout is at most 10 minutes. The service keeps its replies to the last 64
+    /// such requests of this program, at most 1 MB in all, until 60 s and the longest timeout have passed since the last one.
+    /// A service of stock Zenoh is asked once.
+    ///
+    /// ```no_run
+    /// # async fn grab(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let reply = robot.retrying().request::<String>("wombat-2", "grab", rect::Json(3)).await?;
+    /// # Ok(()) }
+    /// ```
+    #[must_use]
+    pub fn retrying(&self) -> Self {
+        Self {
+            retries: true,
             ..self.clone()
         }
     }
@@ -279,7 +312,9 @@ impl Robot {
 
     /// Sends `value` on `topic` to one robot only.
     ///
-    /// The call does not check whether the robot is reachable; use [`request`](Self::request) if a reply is needed.
+    /// Nothing confirms that a program of the robot has received it; use [`request`](Self::request) if a reply is needed. The
+    /// first message to a robot that is not reachable waits for up to half a second, since its router may just be discovered.
+    /// Later ones do not wait.
     ///
     /// ```no_run
     /// # async fn send(robot: rect::Robot) -> Result<(), rect::Error> {
@@ -288,7 +323,9 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// Returns the errors of [`publish`](Self::publish), and [`Error::Name`] if `robot` is not a valid name.
+    /// Returns the errors of [`publish`](Self::publish), [`Error::Name`] if `robot` is not a valid name, and
+    /// [`Error::NotReachable`] if it is not reachable now. A program that sends to a robot which comes and goes ignores that
+    /// error, and one that has just started waits first ([`wait_for_peer`](Self::wait_for_peer)).
     ///
     /// # Cancel safety
     /// If the future is dropped after it was polled, the message may still be published: another thread may be about to
@@ -336,10 +373,18 @@ impl Robot {
         recipient: Option<Name>,
         payload: Payload,
     ) -> Result<(), Error> {
-        let key = self.publication_key(topic, recipient);
         let called = self.lifetime.map(|_| Instant::now());
+        let other = recipient.as_ref().filter(|robot| *robot != self.name());
+        if let Some(robot) = other {
+            let inner = &self.inner;
+            let observe =
+                || async { Recipients::observe(&inner.session, &inner.place, &inner.runtime) };
+            let recipients = inner.recipients.get_or_try_init(observe);
+            recipients.await?.check(robot).await?;
+        }
+        let key = self.publication_key(topic, recipient);
         let publication = self.publication(key).await?;
-        // The first message of an urgency waits for its session.
+        // The first message of an urgency waits for its session, and the first one to a robot for its token.
         let waited = called.map_or(Duration::ZERO, |called| called.elapsed());
         self.put(&publication, payload, waited)?.done().await
     }

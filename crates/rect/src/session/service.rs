@@ -4,7 +4,7 @@ use std::{
     future::Future,
     pin::Pin,
     sync::{
-        atomic::{AtomicBool, Ordering},
+        atomic::{AtomicBool, AtomicU32, Ordering},
         Arc, Weak,
     },
     task::{Context, Poll},
@@ -22,9 +22,10 @@ use rect_core::{
         encoding::Encoding,
         payload::{Payload, ToPayload},
         queue::{Queue, WhenFull},
-        request::error_to_payload,
+        request::{end_of_replies, error_to_payload},
     },
     name::{topic::Topic, Name},
+    retry::once::{Admission, Execution},
     session::service::{busy, Requester, ServiceQuery, CAPACITY, MAX_CONCURRENT},
 };
 use tokio::{sync::Semaphore, task::JoinHandle, time::Instant};
@@ -40,6 +41,7 @@ use super::{
     next_item::NextItem,
     queries,
     receive_queue::{QueueWriter, ReceiveQueue},
+    requester::{OpenRequests, WaitingRequester},
     robot::{Inner, Robot},
     shared::NoItems,
 };
@@ -98,6 +100,9 @@ pub struct Service {
 /// A request to a service of this program. If it is dropped without a reply, the requester gets [`Error::Interrupted`].
 pub struct Request {
     query: Query,
+    waiting: WaitingRequester,
+    /// The number of replies so far, if the requester counts them.
+    replies: Option<AtomicU32>,
     me: Name,
     key: String,
     /// The robot that the request names as its sender; `None` if a stock Zenoh program sent it. Zenoh does not verify the
@@ -107,6 +112,8 @@ pub struct Request {
     pub payload: Payload,
     /// The time of arrival plus the requester's timeout, or plus 10 s if a stock Zenoh program sent the request.
     pub deadline: Instant,
+    /// Takes the result, if the request is carried out at most once.
+    execution: Option<Execution<Query>>,
 }
 
 impl Robot {
@@ -156,8 +163,10 @@ impl Robot {
         let key_of_answers = key.clone();
         let instance = self.inner.program.driver().program().instance;
         let (inner, of) = (Arc::downgrade(&self.inner), topic.clone());
+        let once = self.inner.once.clone();
         let (queue_of_service, runtime) = (queue.clone(), self.inner.runtime.clone());
         let checking = Arc::new(AtomicBool::new(false));
+        let open = OpenRequests::default();
         let on_query = move |query: Query| {
             match ServiceQuery::of(query.parameters().as_str(), instance) {
                 ServiceQuery::Request if !queue_of_service.is_closed() => {}
@@ -166,6 +175,7 @@ impl Robot {
                     let payload = Payload::new("", Encoding::BYTES);
                     return queries::answer(&query, Answer::Reply { key, payload });
                 }
+                ServiceQuery::Closed(id) => return open.on_closed(id),
                 ServiceQuery::TakenOver if !checking.swap(true, Ordering::Relaxed) => {
                     let check = end_if_refused(inner.clone(), queue_of_service.clone(), of.clone());
                     let checking = checking.clone();
@@ -177,9 +187,22 @@ impl Robot {
                 }
                 _ => return,
             }
-            let request = Request::new(query, place.robot.clone(), key_of_answers.clone());
+            let attachment = query.attachment().map(ZBytes::to_bytes);
+            let requester = Requester::of(query.key_expr().as_str(), attachment.as_deref());
             // Any other query ends without a reply.
-            let Some(request) = request else { return };
+            let Some(requester) = requester else { return };
+            let admission =
+                once.on_request(Instant::now().into(), requester.header.as_ref(), query);
+            let (query, execution) = match admission {
+                Admission::Execute(query, execution) => (query, execution),
+                // The query that is replaced ends.
+                Admission::Wait(_) => return,
+                Admission::Answer(query, answer) => return queries::answer(&query, answer),
+            };
+            let (me, key) = (place.robot.clone(), key_of_answers.clone());
+            let deadline = Instant::now() + requester.timeout();
+            let waiting = open.add(requester, deadline, &inner);
+            let request = Request::new(query, waiting, me, key, execution);
             let query = request.query.clone();
             if !writer.push(request) {
                 queries::answer(&query, Answer::Error(busy(&place.robot)));
@@ -294,7 +317,7 @@ impl Robot {
                     return;
                 };
                 while working.try_join_next().is_some() {}
-                if request.remaining().is_zero() {
+                if request.waiting.has_left() {
                     continue;
                 }
                 let answer = answer.clone();
@@ -313,6 +336,8 @@ impl Robot {
                         // Without any reply the requester would get the error that the service does not exist.
                         let _ = request.refuse(error.to_string());
                     }
+                    // This fails if the session is closed.
+                    let _ = request.finish();
                     drop(permit);
                 });
             }
@@ -401,18 +426,67 @@ impl Drop for Service {
 }
 
 impl Request {
-    /// Creates the request that a query makes, if it makes one.
-    fn new(query: Query, me: Name, key: String) -> Option<Self> {
-        let attachment = query.attachment().map(ZBytes::to_bytes);
-        let requester = Requester::of(query.key_expr().as_str(), attachment.as_deref())?;
-        Some(Self {
+    /// Creates the request that a query makes.
+    fn new(
+        query: Query,
+        waiting: WaitingRequester,
+        me: Name,
+        key: String,
+        execution: Option<Execution<Query>>,
+    ) -> Self {
+        let header = waiting.requester().header.as_ref();
+        Self {
             me,
             key,
-            sender: requester.robot().cloned(),
+            sender: waiting.requester().robot().cloned(),
+            replies: header.and_then(|header| header.is_stream.then(AtomicU32::default)),
             payload: queries::payload_of(&query),
-            deadline: Instant::now() + requester.timeout(),
+            deadline: waiting.deadline(),
             query,
-        })
+            waiting,
+            execution,
+        }
+    }
+
+    /// Returns whether the requester still waits for a reply, so that a service can stop working on a request that nobody waits for.
+    ///
+    /// It does not wait after its [deadline](Self::deadline), or if it has closed the request, or if its program or robot has
+    /// ended. Except for the deadline, this is known within 0.5 s. The end of a program is known if the program has a name, and
+    /// that of a stock Zenoh program never. The first call begins to observe the requester, which sends nothing on the air.
+    pub fn is_wanted(&self) -> bool {
+        self.waiting.is_waiting()
+    }
+
+    /// Waits until nobody waits for a reply any more, as [`is_wanted`](Self::is_wanted) describes.
+    ///
+    /// ```no_run
+    /// # async fn work() {}
+    /// # async fn answer(request: &rect::Request) {
+    /// tokio::select! {
+    ///     () = work() => {}
+    ///     () = request.unwanted() => println!("stopped: nobody waits"),
+    /// }
+    /// # }
+    /// ```
+    ///
+    /// # Cancel safety
+    /// The future can be dropped; the next call waits again.
+    pub async fn unwanted(&self) {
+        self.waiting.left().await;
+    }
+
+    /// Ends a request after several replies: a requester that [expects them](Robot::request_stream) then knows that all have arrived.
+    /// [`Robot::serve`] calls it. A request that is dropped without it is [`Error::Interrupted`] for that requester.
+    ///
+    /// # Errors
+    /// [`Error::Closed`] if the session is closed.
+    pub fn finish(&self) -> Result<(), Error> {
+        let Some(replies) = &self.replies else {
+            return Ok(());
+        };
+        let count = end_of_replies(replies.load(Ordering::Relaxed));
+        let reply = self.query.reply(&self.key, "").attachment(count).wait();
+        reply.map_err(Error::zenoh("cannot send the reply"))
     }
 
     /// Returns the time left until the [deadline](Self::deadline).
@@ -420,15 +494,18 @@ impl Request {
         self.deadline.saturating_duration_since(Instant::now())
     }
 
-    /// Sends a reply. A service may reply several times to one request.
+    /// Sends a reply. A service may reply several times to one request, and then calls [`finish`](Self::finish).
     ///
     /// # Errors
     /// [`Error::Payload`] if the value cannot be serialized, and [`Error::Closed`] if the session is closed.
     pub fn reply(&self, value: impl ToPayload) -> Result<(), Error> {
         let payload = value.into_payload()?.sendable()?;
-        let reply = self.query.reply(&self.key, payload.bytes);
-        let reply = reply.encoding(payload.encoding.as_str()).wait();
-        reply.map_err(Error::zenoh("cannot send the reply"))
+        let key = self.key.clone();
+        self.answer(Answer::Reply { key, payload })?;
+        if let Some(replies) = &self.replies {
+            replies.fetch_add(1, Ordering::Relaxed);
+        }
+        Ok(())
     }
 
     /// Replies with an error, which the requester receives as [`Error::Service`].
@@ -437,13 +514,16 @@ impl Request {
     /// Returns the same errors as [`reply`](Self::reply).
     pub fn refuse(&self, error: impl ToPayload) -> Result<(), Error> {
         let error = error_to_payload(&self.me, error.into_payload()?.sendable()?);
-        reply_error(&self.query, error).map_err(Error::zenoh("cannot send the reply"))
+        self.answer(Answer::Error(error))
     }
-}
 
-fn reply_error(query: &Query, error: Payload) -> zenoh::Result<()> {
-    let reply = query.reply_err(error.bytes);
-    reply.encoding(error.encoding.as_str()).wait()
+    fn answer(&self, answer: Answer) -> Result<(), Error> {
+        let execution = self.execution.as_ref();
+        if let Some(repeated) = execution.and_then(|execution| execution.on_result(&answer)) {
+            queries::answer(&repeated, answer.clone());
+        }
+        queries::try_answer(&self.query, answer).map_err(Error::zenoh("cannot send the reply"))
+    }
 }
 
 impl fmt::Debug for Request {

@@ -1,13 +1,17 @@
 //! Tests what programs observe of the library, with robots in one process: `cargo test -p rect-robot --test behaviour`
 #[path = "../pair/mod.rs"]
 mod pair;
+#[path = "../timing/wire/mod.rs"]
+mod wire;
 
 mod blocked_link;
 mod blocking;
 mod codec;
 mod joining;
 mod program;
+mod replies;
 mod request;
+mod retry;
 mod session;
 mod state;
 mod typed;
