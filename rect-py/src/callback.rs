@@ -7,6 +7,7 @@ use rect_core::{catalogue::Instance, message::Undelivered, session::service::Ser
 
 use crate::{
     connection::Links, counters::AtomicCounters, driver::bytes_of, message::Inbound, queue::Queue,
+    retry::Once,
 };
 
 /// The callback for the messages of one Zenoh subscriber of a subscription. It appends a tuple to the queue: the
@@ -20,14 +21,29 @@ pub struct OnMessage {
     subscription: usize,
 }
 
-/// The callback for the requests to a service. It appends each query with its time of arrival to the queue.
+/// The callback for the requests to a service. It appends each query with its time of arrival to the queue; those to a service also with
+/// the permission to carry them out, or `None`.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct OnRequest {
     queue: Py<Queue>,
     on_refused: Py<PyAny>,
-    /// The run of the program, and the function to call when another program serves the topic. `None` for a queryable of another kind.
-    service: Option<(Instance, Py<PyAny>)>,
+    /// `None` for a queryable of another kind.
+    service: Option<OfService>,
 }
+
+/// The part of the program in the requests to its services.
+struct OfService {
+    /// The run of the program.
+    instance: Instance,
+    /// The function to call when another program serves the topic.
+    on_taken_over: Py<PyAny>,
+    /// The function to call with the id of a request that its requester has closed.
+    on_closed: Py<PyAny>,
+    once: Py<Once>,
+}
+
+/// The fields of [`OfService`], as Python passes them.
+type ServiceArguments = (u32, Py<PyAny>, Py<PyAny>, Py<Once>);
 
 /// A point in time.
 #[pyclass(frozen, module = "rect._rect")]
@@ -94,11 +110,17 @@ impl OnMessage {
 #[pymethods]
 impl OnRequest {
     /// Creates the callback. `on_refused` is called with a query that arrives while the queue is full. `service` is the run of the
-    /// program, and a function that is called when another program serves the topic.
+    /// program, the functions that are called when another program serves the topic, and when a requester has closed the request of an
+    /// id, and what the program carries out at most once.
     #[new]
     #[pyo3(signature = (queue, on_refused, service=None))]
-    fn new(queue: Py<Queue>, on_refused: Py<PyAny>, service: Option<(u32, Py<PyAny>)>) -> Self {
-        let service = service.map(|(instance, on_taken_over)| (Instance(instance), on_taken_over));
+    fn new(queue: Py<Queue>, on_refused: Py<PyAny>, service: Option<ServiceArguments>) -> Self {
+        let service = service.map(|(instance, on_taken_over, on_closed, once)| OfService {
+            instance: Instance(instance),
+            on_taken_over,
+            on_closed,
+            once,
+        });
         Self {
             queue,
             on_refused,
@@ -107,9 +129,10 @@ impl OnRequest {
     }
 
     fn __call__(&self, py: Python<'_>, query: Py<PyAny>) -> PyResult<()> {
-        if let Some((instance, on_taken_over)) = &self.service {
+        let arrived_at = Timestamp(Instant::now());
+        let (query, item) = if let Some(service) = &self.service {
             let parameters = query.getattr(py, intern!(py, "parameters"))?;
-            let meaning = ServiceQuery::of(&parameters.bind(py).str()?.to_cow()?, *instance);
+            let meaning = ServiceQuery::of(&parameters.bind(py).str()?.to_cow()?, service.instance);
             match meaning {
                 ServiceQuery::Request => {}
                 ServiceQuery::Ping => {
@@ -117,7 +140,10 @@ impl OnRequest {
                     query.call_method1(py, intern!(py, "reply"), (key, PyBytes::new(py, b"")))?;
                 }
                 ServiceQuery::TakenOver => {
-                    on_taken_over.call0(py)?;
+                    service.on_taken_over.call0(py)?;
+                }
+                ServiceQuery::Closed(id) => {
+                    service.on_closed.call1(py, (id.to_string(),))?;
                 }
                 ServiceQuery::OfAnother => {}
             }
@@ -125,9 +151,16 @@ impl OnRequest {
                 query.call_method0(py, intern!(py, "drop"))?;
                 return Ok(());
             }
-        }
-        let item = (query.clone_ref(py), Timestamp(Instant::now())).into_pyobject(py)?;
-        if !self.queue.get().push(py, item.into_any().unbind())? {
+            let Some((query, execution)) = service.once.get().admit(py, query)? else {
+                return Ok(());
+            };
+            let item = (query.clone_ref(py), arrived_at, execution).into_pyobject(py)?;
+            (query, item.into_any())
+        } else {
+            let item = (query.clone_ref(py), arrived_at).into_pyobject(py)?;
+            (query, item.into_any())
+        };
+        if !self.queue.get().push(py, item.unbind())? {
             self.on_refused.call1(py, (query,))?;
         }
         Ok(())

@@ -18,8 +18,10 @@ mod picture;
 mod program;
 mod publication;
 mod queue;
+mod recipients;
 mod recording;
 mod request;
+mod retry;
 mod router;
 mod settings;
 mod stream;
@@ -43,9 +45,9 @@ mod _rect {
         decoder::{Decoder, Fetched},
         detached::{forget_work, settle},
         driver::{
-            direct_presence, established_wait, expected_connection, observer, peer_wait,
-            peers_query, reachable_robots, registry_change, registry_query, router_observer,
-            ConnectionsReport, Driver, Report,
+            direct_presence, established_wait, expected_connection, no_service, not_reachable,
+            observer, peer_wait, peers_query, reachable_robots, registry_change, registry_query,
+            router_observer, ConnectionsReport, Driver, Report,
         },
         errors::{forget, on_one_line},
         key_space::{check_encoding, check_name, check_topic, encoding_parts, pattern, KeySpace},
@@ -54,10 +56,13 @@ mod _rect {
         program::{program_name, read_catalogue, Catalogues, OfferedService, ProgramPresence},
         publication::Numbering,
         queue::{Ended, Queue},
+        recipients::Recipients,
         recording::{Recorder, RecordingReader},
         request::{
-            busy_reply, error_encoding, requester, Inquiry, RequestIds, Sent, Served, Unsent,
+            busy_reply, end_of_replies, error_encoding, Inquiry, RequestIds, Requester, Sent,
+            Served, Unsent,
         },
+        retry::{retried_request, Execution, Once},
         router::{check_router, default_login_file, robot_of_router, JoinAttempts},
         settings::{default_router, session_settings},
         stream::{FrameReader, Job, StreamPublish, StreamWatch},

@@ -27,7 +27,7 @@ pub struct ProgramPresence {
 
 /// The last catalogues of robots.
 #[pyclass(frozen, module = "rect._rect")]
-pub struct Catalogues(catalogue_query::Catalogues);
+pub struct Catalogues(pub catalogue_query::Catalogues);
 
 /// A service that the program would like to provide.
 #[pyclass(frozen, module = "rect._rect")]
@@ -51,6 +51,12 @@ impl Catalogues {
     /// Creates the question for the catalogue of a robot.
     fn query(&self, key_space: &KeySpace, robot: &str) -> PyResult<Driver> {
         let query = self.0.query(key_space.0.clone(), name(robot)?);
+        Ok(Driver::new(query, &Clock::new()))
+    }
+
+    /// Creates the question which robots serve a topic.
+    fn servers(&self, key_space: &KeySpace, topic: &str) -> PyResult<Driver> {
+        let query = self.0.servers(key_space.0.clone(), self::topic(topic)?);
         Ok(Driver::new(query, &Clock::new()))
     }
 }

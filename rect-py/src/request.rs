@@ -1,4 +1,6 @@
 //! Exposes the requests of a program, the meaning of their replies, and the headers of the requests to its services.
+use std::sync::Mutex;
+
 use bytes::Bytes;
 use pyo3::{
     intern,
@@ -7,30 +9,40 @@ use pyo3::{
     types::{PyBytes, PyTuple},
 };
 use rect_core::{
-    catalogue::Instance,
-    message::{encoding::Encoding, payload::Payload, request::error_to_payload},
+    catalogue::{requester_wait::RequesterWait, Instance},
+    message::{
+        encoding::Encoding,
+        payload::Payload,
+        request::{self, error_to_payload},
+    },
     session::{
         inquiry::{self, ReplyKind},
         request_ids,
         served::{self, Unanswered},
-        service::{self, Requester},
+        service,
     },
 };
 
 use crate::{
+    clock::Clock,
     codec::{parts, payload, Parts},
-    driver::{bytes_of, get, seconds},
+    driver::{bytes_of, get, lock, seconds, Driver},
     key_space::{name, topic, KeySpace},
     urgency,
 };
 
+/// The meaning of a reply: `answer` or `error`, each with the robot (`None` if it does not use RECT) and the payload, `timed_out`, or
+/// `not_of_a_robot` with the key.
+pub type KindParts<'py> = (&'static str, Option<String>, Parts<'py>);
+
 /// A request to services.
 #[pyclass(frozen, module = "rect._rect")]
-pub struct Inquiry(inquiry::Inquiry);
+pub struct Inquiry(pub Mutex<inquiry::Inquiry>);
 
 #[pymethods]
 impl Inquiry {
-    /// Creates a request to the service `topic` of a robot, or of all robots (`None`).
+    /// Creates a request to the service `topic` of a robot, or of all robots (`None`). `is_stream`: several replies are expected, and
+    /// the mark of the last one.
     #[new]
     fn new(
         key_space: &KeySpace,
@@ -38,12 +50,14 @@ impl Inquiry {
         topic: &str,
         timeout_s: f64,
         ids: &RequestIds,
+        is_stream: bool,
     ) -> PyResult<Self> {
         let robot = robot.map(name).transpose()?;
         let place = key_space.0.clone();
         let topic = self::topic(topic)?;
         let inquiry = inquiry::Inquiry::new(place, robot, topic, seconds(timeout_s), &ids.0);
-        Ok(Self(inquiry))
+        let inquiry = if is_stream { inquiry.stream() } else { inquiry };
+        Ok(Self(Mutex::new(inquiry)))
     }
 
     /// Returns the query to send, as the step `get` of a driver.
@@ -55,47 +69,78 @@ impl Inquiry {
         urgency: &str,
     ) -> PyResult<Bound<'py, PyTuple>> {
         let urgency = urgency::parse(py, urgency)?;
-        get(py, 0, self.0.get(payload(bytes, encoding), urgency))
+        get(py, 0, lock(&self.0).get(payload(bytes, encoding), urgency))
     }
 
-    /// Returns the meaning of a reply of Zenoh: `answer` or `error`, each with the robot (`None` if it does not use RECT)
-    /// and the payload, `timed_out`, or `not_of_a_robot` with the key.
+    /// Returns the meaning of a reply of Zenoh; `None` for the mark that ends a stream.
     fn on_reply<'py>(
         &self,
         py: Python<'py>,
         reply: &Bound<'py, PyAny>,
-    ) -> PyResult<(&'static str, Option<String>, Parts<'py>)> {
+    ) -> PyResult<Option<KindParts<'py>>> {
         let ok = reply.getattr(intern!(py, "ok"))?;
         let received = if ok.is_none() {
             let error = reply.getattr(intern!(py, "err"))?;
             Err(payload_of(&error)?)
         } else {
             let key = ok.getattr(intern!(py, "key_expr"))?.str()?.to_string();
+            let attachment = ok.getattr(intern!(py, "attachment"))?;
+            let attachment = if attachment.is_none() {
+                None
+            } else {
+                let bytes: PyBackedBytes = bytes_of(&attachment)?.extract()?;
+                Some(Bytes::from_owner(bytes))
+            };
             Ok(rect_core::driver::Sample {
                 key,
                 payload: payload_of(&ok)?,
-                attachment: None,
+                attachment,
                 is_deleted: false,
             })
         };
-        let nothing = || (PyBytes::new(py, &[]), String::new());
-        Ok(match self.0.on_reply(received) {
-            ReplyKind::Answer { sender, payload } => {
-                ("answer", Some(sender.to_string()), parts(py, &payload))
-            }
-            ReplyKind::Error { robot, payload } => {
-                let robot = robot.map(|robot| robot.to_string());
-                ("error", robot, parts(py, &payload))
-            }
-            ReplyKind::TimedOut => ("timed_out", None, nothing()),
-            ReplyKind::NotOfARobot { key } => ("not_of_a_robot", Some(key), nothing()),
-        })
+        let kind = lock(&self.0).on_reply(received);
+        Ok(kind.map(|kind| kind_parts(py, kind)))
     }
 
     /// Description of the expected reply, for the text of a timeout.
     #[getter]
     fn expected(&self) -> String {
-        self.0.expected()
+        lock(&self.0).expected()
+    }
+
+    /// Whether a service has replied.
+    #[getter]
+    fn is_started(&self) -> bool {
+        lock(&self.0).is_started()
+    }
+
+    /// Whether the request is complete after its last reply.
+    #[getter]
+    fn is_complete(&self) -> bool {
+        lock(&self.0).is_complete()
+    }
+
+    /// Handles that the program has closed the request. Returns the query that announces that, as the step `get` of a driver, if the
+    /// service waits for it.
+    fn close<'py>(&self, py: Python<'py>) -> PyResult<Option<Bound<'py, PyTuple>>> {
+        let closing = lock(&self.0).close();
+        closing.map(|query| get(py, 0, query)).transpose()
+    }
+}
+
+/// Converts the meaning of a reply.
+pub fn kind_parts(py: Python<'_>, kind: ReplyKind) -> KindParts<'_> {
+    let nothing = || (PyBytes::new(py, &[]), String::new());
+    match kind {
+        ReplyKind::Answer { sender, payload } => {
+            ("answer", Some(sender.to_string()), parts(py, &payload))
+        }
+        ReplyKind::Error { robot, payload } => {
+            let robot = robot.map(|robot| robot.to_string());
+            ("error", robot, parts(py, &payload))
+        }
+        ReplyKind::TimedOut => ("timed_out", None, nothing()),
+        ReplyKind::NotOfARobot { key } => ("not_of_a_robot", Some(key), nothing()),
     }
 }
 
@@ -164,13 +209,53 @@ impl Unsent {
     }
 }
 
-/// Returns the sender of a query (`None` if it does not use RECT) and its timeout in seconds, from its key expression and attachment.
-/// `None` if the query is not a request.
+/// The sender of a request.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct Requester(service::Requester);
+
+#[pymethods]
+impl Requester {
+    /// Returns the sender of a query with that key expression and attachment. `None` if the query is not a request.
+    #[staticmethod]
+    fn of(key: &str, attachment: Option<&[u8]>) -> Option<Self> {
+        service::Requester::of(key, attachment).map(Self)
+    }
+
+    /// Name of the robot. `None` if its program does not use RECT.
+    #[getter]
+    fn robot(&self) -> Option<String> {
+        self.0.robot().map(ToString::to_string)
+    }
+
+    /// Time that it waits, in seconds.
+    #[getter]
+    fn timeout(&self) -> f64 {
+        self.0.timeout().as_secs_f64()
+    }
+
+    /// Id of the request. `None` if its program does not use RECT.
+    #[getter]
+    fn id(&self) -> Option<String> {
+        self.0.header.as_ref().map(|header| header.id.to_string())
+    }
+
+    /// Whether it expects several replies, and the mark of the last one.
+    #[getter]
+    fn is_stream(&self) -> bool {
+        (self.0.header.as_ref()).is_some_and(|header| header.is_stream)
+    }
+
+    /// Creates the wait for the end of its program or robot. `None` if the request does not name them.
+    fn wait(&self, key_space: &KeySpace) -> Option<Driver> {
+        let wait = RequesterWait::new(key_space.0.clone(), &self.0)?;
+        Some(Driver::new(wait, &Clock::new()))
+    }
+}
+
+/// Returns the attachment of the reply that ends a stream of replies.
 #[pyfunction]
-pub fn requester(key: &str, attachment: Option<&[u8]>) -> Option<(Option<String>, f64)> {
-    let requester = Requester::of(key, attachment)?;
-    let robot = requester.robot().map(ToString::to_string);
-    Some((robot, requester.timeout().as_secs_f64()))
+pub fn end_of_replies(py: Python<'_>, count: u32) -> Bound<'_, PyBytes> {
+    PyBytes::new(py, &request::end_of_replies(count))
 }
 
 /// Returns the error reply of a robot to a request for which there is no room.

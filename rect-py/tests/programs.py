@@ -40,6 +40,23 @@ class Routers:
         return rect.connect(name, router=self.endpoints[name], program=program)
 
     @contextmanager
+    def without_link(self) -> Iterator[None]:
+        """Moves the robots out of range of each other, and yields when both have noticed that."""
+        from room import (  # type: ignore[import-not-found, unused-ignore]
+            wait_for_link,
+            wait_for_no_link,
+        )
+
+        one, two = self.robots.values()
+        self.room.cut()
+        try:
+            wait_for_no_link(one, two)
+            yield
+        finally:
+            self.room.restore()
+            wait_for_link(one, two)
+
+    @contextmanager
     def tool(self, robot: str, *arguments: str) -> Iterator[Tool]:
         """Runs the `rect` command at the router of a robot."""
         options = ["--as", robot, "--router", self.endpoints[robot]]

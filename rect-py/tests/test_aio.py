@@ -37,6 +37,30 @@ def with_a_pair(test: Callable[[rect.aio.Robot, rect.aio.Robot], Awaitable[None]
     asyncio.run(run())
 
 
+def test_send_to_one_robot_does_not_block_the_loop() -> None:
+    async def test(one: rect.aio.Robot, two: rect.aio.Robot) -> None:
+        async with two.subscribe("*/note") as notes:
+            await two.wait_until_established(DEADLINE)
+            ticks = 0
+
+            async def tick() -> None:
+                nonlocal ticks
+                while True:
+                    await asyncio.sleep(0.01)
+                    ticks += 1
+
+            ticking = asyncio.create_task(tick())
+            with pytest.raises(rect.NotReachable, match="did you mean wombat-2"):
+                await one.send("wmbat-2", "note", "psst")
+            ticking.cancel()
+            assert ticks > 3
+            for value in range(2):
+                await one.send("wombat-2", "note", value)
+                assert (await notes.next(DEADLINE)).value == value
+
+    with_a_pair(test)
+
+
 def test_handler_that_exits_replies_with_error_and_ends_loop(caplog: pytest.LogCaptureFixture) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     errors: list[str] = []

@@ -22,6 +22,7 @@ _KINDS: dict[type[rect.RectError], str] = {
     rect.DictionaryError: "dictionary",
     rect.InvalidNameError: "name",
     rect.InvalidTopicError: "topic",
+    rect.NotReachable: "not_reachable",
     rect.NoService: "no_service",
     rect.OptionError: "option",
     rect.ServiceError: "service",

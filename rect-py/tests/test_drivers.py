@@ -65,6 +65,9 @@ class Subject:
     def _peers_query(self, _: dict[str, Any]) -> _rect.Driver:
         return _rect.peers_query(self._place)
 
+    def _recipients(self, _: dict[str, Any]) -> _rect.Recipients:
+        return _rect.Recipients(self._place)
+
     def _peer_wait(self, of: dict[str, Any]) -> _rect.Driver:
         return _rect.peer_wait(self._place, of["robot"], of["timeout_s"])
 

@@ -325,6 +325,118 @@ def test_change_of_services_is_no_event(routers: Routers) -> None:
         assert seen("program_down", "arm") > began
 
 
+@contextmanager
+def grabbing(routers: Routers, folder: Path) -> Iterator[subprocess.Popen[str]]:
+    """Runs a program that serves `grab`.
+
+    It writes a line to the file `grabbed` and prints one for each request, and replies when it gets a line itself.
+    """
+    code = f"""
+import threading
+robot = rect.connect("wombat-1", router="{routers.endpoints["wombat-1"]}")
+go = threading.Semaphore(0)
+
+def grab(request):
+    with open({str(folder / "grabbed")!r}, "a") as file:
+        print(request.value, file=file)
+    print("began", flush=True)
+    go.acquire()
+    return request.value
+
+robot.serve("grab", grab)
+print("serving", flush=True)
+for _ in sys.stdin:
+    go.release()
+"""
+    with script(folder, "grabber.py", code) as process:
+        assert line_of(process) == "serving"
+        yield process
+
+
+def go(process: subprocess.Popen[str]) -> None:
+    assert process.stdin is not None
+    process.stdin.write("go\n")
+    process.stdin.flush()
+
+
+def test_retried_request_is_carried_out_once_although_the_link_is_cut(routers: Routers, tmp_path: Path) -> None:
+    with routers.connect("wombat-2") as other, grabbing(routers, tmp_path) as arm, ThreadPoolExecutor(1) as pool:
+        until_served(other, "wombat-1", "grab")
+        asked = pool.submit(other.request, "wombat-1", "grab", "first", retry=True, timeout=2 * DEADLINE)
+        assert line_of(arm) == "began"
+        with routers.without_link():
+            # The reply to the first query is lost.
+            go(arm)
+        assert asked.result(DEADLINE).value == "first"
+        asked = pool.submit(other.request, "wombat-1", "grab", "second", retry=True, timeout=2 * DEADLINE)
+        assert line_of(arm) == "began"
+        with routers.without_link():
+            pass
+        go(arm)
+        assert asked.result(DEADLINE).value == "second"
+        assert (tmp_path / "grabbed").read_text().split() == ["first", "second"]
+
+
+def test_retried_request_is_not_carried_out_by_a_program_that_was_restarted(routers: Routers, tmp_path: Path) -> None:
+    with routers.connect("wombat-2") as other, ThreadPoolExecutor(1) as pool:
+        with grabbing(routers, tmp_path) as arm:
+            until_served(other, "wombat-1", "grab")
+            asked = pool.submit(other.request, "wombat-1", "grab", "first", retry=True, timeout=2 * DEADLINE)
+            assert line_of(arm) == "began"
+            arm.kill()
+        with grabbing(routers, tmp_path) as arm:
+            with pytest.raises(rect.Interrupted):
+                asked.result(DEADLINE)
+            asked = pool.submit(other.request, "wombat-1", "grab", "second", retry=True, timeout=2 * DEADLINE)
+            go(arm)
+            assert asked.result(DEADLINE).value == "second"
+        assert (tmp_path / "grabbed").read_text().split() == ["first", "second"]
+
+
+def test_retried_request_whose_program_has_ended_for_good_is_interrupted_long_before_its_timeout(
+    routers: Routers, tmp_path: Path
+) -> None:
+    with routers.connect("wombat-2") as other, ThreadPoolExecutor(1) as pool:
+        with grabbing(routers, tmp_path) as arm:
+            until_served(other, "wombat-1", "grab")
+            asked = pool.submit(other.request, "wombat-1", "grab", "first", retry=True, timeout=20 * DEADLINE)
+            assert line_of(arm) == "began"
+            arm.kill()
+        with pytest.raises(rect.Interrupted):
+            asked.result(DEADLINE)
+
+
+def test_retried_requests_of_asyncio_return_replies_errors_and_can_be_cancelled(
+    routers: Routers, tmp_path: Path
+) -> None:
+    async def ask() -> list[object]:
+        async with rect.aio.connect("wombat-2", router=routers.endpoints["wombat-2"]) as robot:
+            reply = await robot.request("wombat-1", "double", 21, retry=True)
+            with pytest.raises(rect.ServiceError, match="stuck"):
+                await robot.request("wombat-1", "refuse", retry=True)
+            with pytest.raises(rect.OptionError, match="at most 600 s"):
+                await robot.request("wombat-1", "double", 21, retry=True, timeout=601)
+            with pytest.raises(rect.NoService):
+                await robot.request("wombat-1", "nothing", retry=True)
+            waiting = asyncio.ensure_future(robot.request("wombat-1", "grab", "first", retry=True, timeout=500))
+            assert await asyncio.to_thread(line_of, arm) == "began"
+            waiting.cancel()
+            with pytest.raises(asyncio.CancelledError):
+                await waiting
+            return [reply.sender, reply.value]
+
+    def refuse(request: rect.Request) -> None:
+        raise rect.Refusal("it is stuck")
+
+    with routers.connect("wombat-1", "double") as robot, grabbing(routers, tmp_path) as arm:
+        robot.serve("double", lambda request: request.value * 2)
+        robot.serve("refuse", refuse)
+        with routers.connect("wombat-2") as other:
+            for topic in ("double", "refuse", "grab"):
+                until_served(other, "wombat-1", topic)
+        assert asyncio.run(ask()) == ["wombat-1", 42]
+
+
 def test_services_are_registered_again_after_restart_of_router(routers: Routers) -> None:
     with (
         routers.connect("wombat-1", "arm") as arm,

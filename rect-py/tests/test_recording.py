@@ -476,10 +476,12 @@ def test_what_a_robot_sends_and_is_sent_is_recorded_once(tmp_path: Path) -> None
     default, all_of_both = tmp_path / "default.mcap", tmp_path / "all.mcap"
     with (
         rect.connect("wombat-1", listen=[endpoint]) as one,
-        rect.connect("wombat-2", router=endpoint) as two,
+        rect.connect("wombat-2", endpoints=[endpoint]) as two,
         one.record(default) as of_one,
         one.record(all_of_both, "wombat-1/**", "*/**") as of_both,
     ):
+        one.wait_for_peer("wombat-2", timeout=DEADLINE)
+        two.wait_for_peer("wombat-1", timeout=DEADLINE)
         one.wait_until_established(timeout=DEADLINE)
         two.publish("pose", 1)
         two.send("wombat-1", "drive", 2)

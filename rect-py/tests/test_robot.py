@@ -18,7 +18,7 @@ from typing import Any
 import numpy
 import pytest
 import rect
-from conftest import DEADLINE, free_port, until_served, until_subscribed
+from conftest import DEADLINE, free_port, until, until_served, until_subscribed
 from rect.receive_queue import DEFAULT_CAPACITY
 
 Pair = tuple[rect.Robot, rect.Robot]
@@ -50,6 +50,34 @@ def test_sent_message_arrives_only_at_recipient(pair: Pair) -> None:
     message = note.next(DEADLINE)
     assert (message.value, message.recipient) == ("psst", "wombat-2")
     assert everything.next(DEADLINE).topic == "after"
+
+
+def test_message_to_a_robot_that_is_not_reachable_raises_until_it_is() -> None:
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with rect.connect("wombat-1", listen=[endpoint]) as one:
+        one.send("wombat-1", "note", "to itself")
+        with rect.connect("wombat-2", endpoints=[endpoint]):
+            one.wait_for_peer("wombat-2", timeout=DEADLINE)
+            one.send("wombat-2", "note", "psst")
+            text = r"^wmbat-2 is not reachable; did you mean wombat-2\? \(reachable robots: wombat-2\)$"
+            for _ in range(2):
+                with pytest.raises(rect.NotReachable, match=text) as raised:
+                    one.send("wmbat-2", "note", "psst")
+                assert (raised.value.robot, raised.value.available) == ("wmbat-2", ["wombat-2"])
+        until(lambda: not sends(one, "wombat-2"))
+        with rect.connect("wombat-2", endpoints=[endpoint]) as two, two.subscribe("wombat-1/note") as notes:
+            until_subscribed(one, "to/wombat-2/note")
+            until(lambda: sends(one, "wombat-2"))
+            assert notes.next(DEADLINE).value == "psst"
+
+
+def sends(robot: rect.Robot, other: str) -> bool:
+    """Returns whether the robot can send to the other one."""
+    try:
+        robot.send(other, "note", "psst")
+    except rect.NotReachable:
+        return False
+    return True
 
 
 @pytest.mark.parametrize(

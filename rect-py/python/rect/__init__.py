@@ -25,6 +25,7 @@ from rect.errors import (
     MismatchError,
     NoRouter,
     NoService,
+    NotReachable,
     OptionError,
     PayloadError,
     RecordingError,
@@ -45,7 +46,8 @@ from rect.program import Program, ServiceEntry
 from rect.publisher import Publisher
 from rect.recording import RecordedEvent, RecordedMessage, RecordedRequest, Recorder, Recording
 from rect.registry import Connection, Connections, LinkLane, LinkPath, Peer
-from rect.request import Replies, Reply
+from rect.reply import Gathered, Outcome, Reply
+from rect.request import Replies
 from rect.robot import Robot, connect
 from rect.service import Refusal, Request, Service
 from rect.stream import Frame, StreamSender, Watcher
@@ -69,6 +71,7 @@ __all__ = [
     "Events",
     "FileError",
     "Frame",
+    "Gathered",
     "Interrupted",
     "InvalidNameError",
     "InvalidTopicError",
@@ -80,7 +83,9 @@ __all__ = [
     "MismatchError",
     "NoRouter",
     "NoService",
+    "NotReachable",
     "OptionError",
+    "Outcome",
     "OutgoingTransfer",
     "Payload",
     "PayloadError",

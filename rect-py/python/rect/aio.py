@@ -25,17 +25,17 @@ from rect import _rect
 from rect import robot as blocking
 from rect.choices import Urgency, WhenFull
 from rect.deadline import Deadline
-from rect.errors import CodecError, NoService, TimedOut
+from rect.errors import CodecError, TimedOut
 from rect.events import Counters, Event
 from rect.events import Events as BlockingEvents
 from rect.message import Message
 from rect.options import Options, seconds, text
-from rect.program import Program
+from rect.program import Program, ServiceEntry
 from rect.publisher import Publisher as BlockingPublisher
 from rect.receive_queue import DEFAULT_CAPACITY, Ended
 from rect.registry import Connections
+from rect.reply import Gathered, Reply
 from rect.request import Replies as BlockingReplies
-from rect.request import Reply
 from rect.robot import DEFAULT_TIMEOUT, CodecLike
 from rect.service import Request, Requests
 from rect.stream import Frame
@@ -226,6 +226,7 @@ class Robot:
         timeout: float = DEFAULT_TIMEOUT,
         urgency: Urgency = "normal",
         codec: CodecLike = None,
+        retry: bool = False,
     ) -> Reply[T]: ...
     @overload
     async def request(
@@ -238,6 +239,7 @@ class Robot:
         timeout: float = DEFAULT_TIMEOUT,
         urgency: Urgency = "normal",
         codec: CodecLike = None,
+        retry: bool = False,
     ) -> Reply[Any]: ...
     async def request(
         self,
@@ -249,15 +251,27 @@ class Robot:
         timeout: float = DEFAULT_TIMEOUT,
         urgency: Urgency = "normal",
         codec: CodecLike = None,
+        retry: bool = False,
     ) -> Reply[Any]:
         """Sends a request to a service of `robot`, and returns its first reply; see `rect.Robot.request`."""
+        if retry:
+            arguments = (robot, topic, value, returns, timeout, urgency, codec)
+            retried = await asyncio.to_thread(self._robot._retried_request, *arguments)
+            try:
+                once = await asyncio.to_thread(retried.run)
+            finally:
+                retried.stop()
+            if once is not None:
+                return once
+            timeout = retried.remaining
         replies = self._robot._request(text("robot", robot), topic, value, returns, timeout, urgency, codec)
         try:
             reply = await replies.next_async()
         finally:
             replies.leave()
         if reply is None:
-            raise replies.interrupted() or NoService(robot, topic, await self.peers())
+            peers = await self.peers()
+            raise replies.unanswered(lambda: peers)
         return reply
 
     @overload
@@ -294,6 +308,45 @@ class Robot:
     ) -> Replies[Any]:
         """Sends a request to the services of all robots, for `async for`; see `rect.Robot.request_all`."""
         return Replies(self._robot._request(None, topic, value, returns, timeout, urgency, codec))
+
+    @overload
+    def request_stream(
+        self,
+        robot: str,
+        topic: str,
+        value: Any = "",
+        *,
+        returns: type[T],
+        timeout: float = DEFAULT_TIMEOUT,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+    ) -> Replies[T]: ...
+    @overload
+    def request_stream(
+        self,
+        robot: str,
+        topic: str,
+        value: Any = "",
+        *,
+        returns: Any = None,
+        timeout: float = DEFAULT_TIMEOUT,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+    ) -> Replies[Any]: ...
+    def request_stream(
+        self,
+        robot: str,
+        topic: str,
+        value: Any = "",
+        *,
+        returns: Any = None,
+        timeout: float = DEFAULT_TIMEOUT,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+    ) -> Replies[Any]:
+        """Sends a request that gets several replies, for `async for`; see `rect.Robot.request_stream`."""
+        robot = text("robot", robot)
+        return Replies(self._robot._request(robot, topic, value, returns, timeout, urgency, codec, is_stream=True))
 
     @overload
     def serve(
@@ -445,6 +498,10 @@ class Robot:
         """Returns the programs of a robot, with their services; see `rect.Robot.programs`."""
         return await asyncio.to_thread(self._robot.programs, robot)
 
+    async def services(self, robot: str | None = None) -> list[ServiceEntry]:
+        """Returns what the programs of a robot serve; see `rect.Robot.services`."""
+        return await asyncio.to_thread(self._robot.services, robot)
+
     async def query_registry(self, question: str, *, robot: str | None = None, filter: str = "") -> Any:
         """Sends a question to the registry of a router, and returns its answer; see `rect.Robot.query_registry`."""
         return await asyncio.to_thread(lambda: self._robot.query_registry(question, robot=robot, filter=filter))
@@ -502,7 +559,9 @@ class Robot:
     ) -> None:
         self._session.check()
         payload = payload_of(value, codec_of(codec))
-        if len(payload.bytes) < _rect.LARGE_BYTES and self._session.urgency_sessions.is_open(urgency):
+        is_small = len(payload.bytes) < _rect.LARGE_BYTES
+        is_open = self._session.urgency_sessions.is_open(urgency)
+        if is_small and is_open and (recipient is None or self._session.recipients.is_reachable(recipient)):
             self._robot._publish(topic, recipient, payload, urgency, None, expires_after)
         else:
             await asyncio.to_thread(self._robot._publish, topic, recipient, payload, urgency, None, expires_after)
@@ -756,6 +815,10 @@ class Replies(_Handle, Generic[T]):
             raise StopAsyncIteration
         return reply
 
+    async def gather(self) -> Gathered[T]:
+        """Waits for the outcomes of all robots that serve the topic; see `rect.Replies.gather`."""
+        return await self._replies.gather_async()
+
 
 class Service:
     """Answers the requests to a topic by calling a function; see `rect.Service`."""
@@ -795,12 +858,15 @@ class Service:
                 if inspect.isasyncgen(result):
                     async for value in result:
                         request.reply(value)
+                        if request.has_left:
+                            break
+                    request.finish()
                     return
                 if inspect.isgenerator(result):
-                    for value in result:
-                        request.reply(value)
+                    request.reply_all(result)
                     return
                 request.reply(await result if inspect.isawaitable(result) else result)
+                request.finish()
             except Exception as error:
                 request.refuse_for(error)
             except asyncio.CancelledError:

@@ -106,11 +106,22 @@ class WrongRobot(RectError):
         self.serves = serves
 
 
-class NoService(RectError, LookupError):
-    """No program of the robot serves the topic. Is the robot reachable, and is its program running?"""
+class NotReachable(RectError, ConnectionError):
+    """The robot to which a message is sent is not reachable. Check its name, or wait for it (`Robot.wait_for_peer`)."""
 
-    def __init__(self, robot: str, topic: str, available: list[str]) -> None:
-        super().__init__(f"no program serves {topic} at {robot}; {_rect.reachable_robots(robot, available)}")
+    def __init__(self, robot: str, available: list[str]) -> None:
+        super().__init__(_rect.not_reachable(robot, available))
+        #: Name of the robot.
+        self.robot = robot
+        #: Names of the robots that are reachable.
+        self.available = available
+
+
+class NoService(RectError, LookupError):
+    """No program of the robot, or of the fleet, serves the topic. Is the robot reachable, and its program running?"""
+
+    def __init__(self, robot: str | None, topic: str, available: list[str]) -> None:
+        super().__init__(_rect.no_service(robot, topic, available))
         #: Names of the robots that are reachable.
         self.available = available
 

@@ -29,6 +29,7 @@ class Executor:
     - `sink`: called with each item that the driver delivers, on a thread of Zenoh or on that of the driver.
     - `before_poll`: called before each poll of the driver.
     - `is_passive`: the driver needs no thread, because it has nothing to do after it has started.
+    - `on`: the Zenoh session on which to perform them. Default: the one for normal messages.
     """
 
     def __init__(
@@ -40,8 +41,10 @@ class Executor:
         queue: ReceiveQueue[Any] | None = None,
         before_poll: Callable[[], object] | None = None,
         is_passive: bool = False,
+        on: zenoh.Session | None = None,
     ) -> None:
         self._session = session
+        self._zenoh = session.zenoh if on is None else on
         self._driver = driver
         self._sink = sink
         self._before_poll = before_poll
@@ -55,8 +58,11 @@ class Executor:
         self.declarations = Declared(session, queue, self._on_end)
         self.declarations.keep(self._queries)
 
-    def start(self, name: str) -> None:
-        """Performs the first actions now, and the others on a thread. Raises `ZenohError`."""
+    def start(self, name: str, on_finished: Callable[[], object] | None = None) -> None:
+        """Performs the first actions now, and the others on a thread. Calls `on_finished` when the driver has finished.
+
+        Raises `ZenohError`.
+        """
         try:
             finished, wait = self._step()
         except zenoh.ZError as error:
@@ -66,7 +72,9 @@ class Executor:
             self.end()
             raise
         if finished is None and not self._is_passive:
-            self._session.start(name, lambda: self._run_on_thread(wait))
+            self._session.start(name, lambda: self._run_on_thread(wait, on_finished))
+        elif on_finished is not None and finished is not None:
+            on_finished()
 
     def run(self) -> Any:
         """Runs the driver to its end, and returns its output. Raises `ZenohError` and `Closed`."""
@@ -104,7 +112,7 @@ class Executor:
         """Ends it without blocking when `handle` is garbage-collected without having been closed."""
         self.declarations.leave_with(handle)
 
-    def _run_on_thread(self, wait: float | None) -> None:
+    def _run_on_thread(self, wait: float | None, on_finished: Callable[[], object] | None) -> None:
         try:
             while not self._is_ended:
                 self._wait(wait)
@@ -112,6 +120,8 @@ class Executor:
                     return
                 finished, wait = self._step()
                 if finished is not None:
+                    if on_finished is not None:
+                        on_finished()
                     return
         except (zenoh.ZError, Closed) as error:
             _LOG.debug("a driver has ended: %s", error)
@@ -167,7 +177,7 @@ class Executor:
     # The steps of a driver, by their names (rect-py/src/driver/step.rs).
 
     def _declare_publisher(self, id: int, key: str, qos_fields: tuple[int, bool, bool], observes: bool) -> None:
-        publisher = self._session.zenoh.declare_publisher(key, **qos(qos_fields))
+        publisher = self._zenoh.declare_publisher(key, **qos(qos_fields))
         self._add(id, publisher)
         if observes:
             report = self._report(id)
@@ -176,17 +186,17 @@ class Executor:
             report.matching(publisher.matching_status)
 
     def _declare_subscriber(self, id: int, key: str) -> None:
-        self._add(id, self._session.zenoh.declare_subscriber(key, direct(self._report(id).sample)))
+        self._add(id, self._zenoh.declare_subscriber(key, direct(self._report(id).sample)))
 
     def _declare_queryable(self, id: int, key: str, complete: bool) -> None:
-        declare = self._session.zenoh.declare_queryable
+        declare = self._zenoh.declare_queryable
         self._add(id, declare(key, direct(self._report(id).query), complete=complete))
 
     def _declare_token(self, id: int, key: str) -> None:
-        self._add(id, self._session.zenoh.liveliness().declare_token(key))
+        self._add(id, self._zenoh.liveliness().declare_token(key))
 
     def _declare_liveliness_subscriber(self, id: int, key: str) -> None:
-        declare = self._session.zenoh.liveliness().declare_subscriber
+        declare = self._zenoh.liveliness().declare_subscriber
         # Zenoh calls the callback during the declaration, and ignores a KeyboardInterrupt in it.
         subscriber = call_interruptibly(
             lambda: declare(key, direct(self._report(id).sample), history=True), lambda one: one.undeclare()
@@ -194,7 +204,7 @@ class Executor:
         self._add(id, subscriber)
 
     def _declare_link_listener(self, id: int) -> None:
-        info = self._session.zenoh.info
+        info = self._zenoh.info
         self._add(id, info.declare_link_events_listener(direct(self._report(id).link), history=False))
 
     def _undeclare(self, id: int) -> None:
@@ -209,20 +219,20 @@ class Executor:
         declared.put(payload, encoding=encoding, attachment=attachment)
 
     def _put_once(self, key: str, payload: bytes, encoding: str, qos_fields: tuple[int, bool, bool]) -> None:
-        self._session.zenoh.put(key, payload, encoding=encoding, **qos(qos_fields))
+        self._zenoh.put(key, payload, encoding=encoding, **qos(qos_fields))
 
     def _get(self, id: int, *query: Any) -> None:
         report = self._report(id)
         selector, arguments = get_arguments(*query)
         try:
-            self._session.zenoh.get(selector, direct(report.reply, report.ended), **arguments)
+            self._zenoh.get(selector, direct(report.reply, report.ended), **arguments)
         except zenoh.ZError as error:
             # Zenoh has called `report.ended`.
             _LOG.debug("cannot query %s: %s", selector, error)
 
     def _get_liveliness(self, id: int, selector: str, timeout: float) -> None:
         report = self._report(id)
-        self._session.zenoh.liveliness().get(selector, direct(report.reply, report.ended), timeout=timeout)
+        self._zenoh.liveliness().get(selector, direct(report.reply, report.ended), timeout=timeout)
 
     def _reply(self, query: int, key: str, payload: bytes, encoding: str) -> None:
         self._answer(query, lambda open: open.reply(key, payload, encoding=encoding))

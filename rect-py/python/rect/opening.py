@@ -8,6 +8,7 @@ from rect.events import follow_links
 from rect.executor import Executor
 from rect.options import Options, tokens_of_router
 from rect.program import Presence, name_of_script
+from rect.recipients import Recipients
 from rect.session import Session
 
 
@@ -17,6 +18,7 @@ def open_session(options: Options) -> Session:
     try:
         session.decoder = Decoder(session)
         session.program = Presence(session, name_of_script() if options.program == "" else options.program)
+        session.recipients = Recipients(session)
         if session.is_direct:
             presence = _rect.direct_presence(session.key_space, str(session.zenoh.zid()))
             Executor(session, presence).start("rect presence")

@@ -61,6 +61,8 @@ class Presence:
         self._session = session
         #: Distinguishes this run of the program from all others.
         self.instance = random.getrandbits(32)
+        #: The requests that this program carries out at most once.
+        self.once = _rect.Once(session.key_space.robot, self.instance)
         self.request_ids = _rect.RequestIds(self.instance, name is not None)
         self._core = _rect.ProgramPresence(session.key_space, name, self.instance, session.is_direct)
         self._executor = Executor(session, self._core.driver(), session.warn)

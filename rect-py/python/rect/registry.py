@@ -11,7 +11,7 @@ from rect import _rect
 from rect.choices import ConnectionState
 from rect.errors import Closed, NoService, PayloadError, TimedOut
 from rect.executor import Executor
-from rect.request import service_error
+from rect.reply import service_error
 from rect.values import Payload
 
 if TYPE_CHECKING:
@@ -155,6 +155,13 @@ def peers(session: Session) -> list[str]:
     names: list[str] = Executor(session, _rect.peers_query(session.key_space)).run()
     session.check()
     return names
+
+
+def servers(session: Session, topic: str) -> set[str]:
+    """Returns the names of the robots whose catalogue lists the topic."""
+    names: list[str] | None = Executor(session, session.catalogues.servers(session.key_space, topic)).run()
+    session.check()
+    return set(names or ())
 
 
 def wait(session: Session, driver: _rect.Driver, expected: Callable[[], str], timeout: float) -> None:

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Generic
 
 import zenoh
 
-from rect import _rect
+from rect import _rect, registry
 from rect._zenoh import direct, get_arguments, zenoh_error
-from rect.errors import Interrupted, RectError, ServiceError, TimedOut, ZenohError
+from rect.errors import Closed, Interrupted, NoService, RectError, TimedOut, ZenohError
+from rect.executor import Executor
 from rect.receive_queue import Ended, ReceiveQueue
+from rect.reply import Gathered, Received, Reply, outcomes_of, service_error
 from rect.typed import Converter, T
 from rect.values import Payload
 
@@ -20,33 +23,13 @@ if TYPE_CHECKING:
     from rect.session import Session
 
 
-@dataclass(frozen=True)
-class Reply(Generic[T]):
-    """A reply to a request. `Reply[Pose]` has a `value` of the type `Pose`."""
-
-    #: Name of the robot that replied.
-    sender: str
-    #: The payload: bytes with an encoding.
-    payload: Payload
-    _converter: Converter[T] | None = field(default=None, repr=False, compare=False)
-
-    @property
-    def value(self) -> T:
-        """The decoded payload, as the type that the request states (`returns`); see `Message.value`.
-
-        Raises `PayloadError` if the bytes do not match the encoding, and `MismatchError` if the value does not fit the
-        type.
-        """
-        value: T = self.payload.value
-        return value if self._converter is None else self._converter.convert(value)
-
-
 class Replies(Generic[T]):
-    """Iterates over the replies to one request as they arrive. Returned by `Robot.request_all`.
+    """Iterates over the replies to one request. Returned by `Robot.request_all` and `Robot.request_stream`.
 
     The iteration ends when all services have replied. Each step raises `ServiceError` if a service replied with an
     error (the iteration can be continued after that), `PayloadError` if a reply cannot be decoded, `TimedOut` after the
-    timeout, and `Closed` if the robot is closed. Closing this object cancels the request.
+    timeout, `Interrupted` if a stream ended before its last reply, and `Closed` if the robot is closed. Closing this
+    object cancels the request.
     """
 
     def __init__(
@@ -58,11 +41,14 @@ class Replies(Generic[T]):
         urgency: str,
         timeout: float,
         converter: Converter[T] | None,
+        is_stream: bool = False,
     ) -> None:
         self._session = session
         self._converter = converter
-        self._asked = robot, topic
-        self._inquiry = _rect.Inquiry(session.key_space, robot, topic, timeout, session.program.request_ids)
+        #: The robot that was asked (`None` if all were), and the topic.
+        self.asked = robot, topic
+        self._is_end_reported = False
+        self._inquiry = _rect.Inquiry(session.key_space, robot, topic, timeout, session.program.request_ids, is_stream)
         self._timeout = timeout
         self._deadline = time.monotonic() + timeout
         self._queue: ReceiveQueue[zenoh.Reply] = ReceiveQueue(_rect.MAX_REPLIES, "block")
@@ -90,38 +76,117 @@ class Replies(Generic[T]):
         return self
 
     def __next__(self) -> Reply[T]:
-        try:
-            reply = self._queue.pop(self._remaining())
-        except Ended:
-            self._check_closed()
-            raise StopIteration from None
-        except TimeoutError:
-            raise self.timed_out() from None
-        return self._reply(reply)
+        reply = self._reply(self.received())
+        if reply is None:
+            self._check_end(self._peers)
+            raise StopIteration
+        return reply
 
     async def next_async(self) -> Reply[T] | None:
         """Waits for the next reply with asyncio; returns `None` after the last one."""
-        try:
-            reply = await self._queue.pop_async(self._remaining())
-        except Ended:
-            self._check_closed()
-            return None
-        except TimeoutError:
-            raise self.timed_out() from None
-        return self._reply(reply)
+        reply = self._reply(await self.received_async())
+        if reply is None and not self._is_complete():
+            peers = await asyncio.to_thread(self._peers)
+            self._check_end(lambda: peers)
+        return reply
 
-    def interrupted(self) -> Interrupted | None:
-        """Returns the error if the request has ended without a reply, and may have been carried out by the robot."""
-        robot, topic = self._asked
-        if robot is not None and self._served.is_interrupted(self._sent):
+    def received(self) -> Received[T] | None:
+        """Waits for the next reply or error; returns `None` after the last one. Raises `TimedOut` and `Closed`."""
+        while True:
+            try:
+                arrived = self._queue.pop(self._remaining())
+            except Ended:
+                self._check_closed()
+                return None
+            except TimeoutError:
+                raise self.timed_out() from None
+            received = self._received(arrived)
+            if received is not None:
+                return received
+
+    async def received_async(self) -> Received[T] | None:
+        """Does the same as `received`, for asyncio."""
+        while True:
+            try:
+                arrived = await self._queue.pop_async(self._remaining())
+            except Ended:
+                self._check_closed()
+                return None
+            except TimeoutError:
+                raise self.timed_out() from None
+            received = self._received(arrived)
+            if received is not None:
+                return received
+
+    def unanswered(self, peers: Callable[[], list[str]]) -> Interrupted | NoService:
+        """Returns why the request ended without a reply, or without all replies of a stream."""
+        robot, topic = self.asked
+        if robot is not None and (self._inquiry.is_started or self._served.is_interrupted(self._sent)):
             return Interrupted(robot, topic)
-        return None
+        return NoService(robot, topic, peers())
+
+    def _peers(self) -> list[str]:
+        return registry.peers(self._session)
+
+    def _is_complete(self) -> bool:
+        return self._is_end_reported or self._inquiry.is_complete
+
+    def _check_end(self, peers: Callable[[], list[str]]) -> None:
+        """Raises the error of a stream that is not complete, once."""
+        if not self._is_complete():
+            self._is_end_reported = True
+            raise self.unanswered(peers)
+
+    def gather(self) -> Gathered[T]:
+        """Waits until all robots have replied that serve the topic, or the time is up. Returns their outcomes.
+
+        An error of one robot does not end the wait. The robots that serve the topic are those whose catalogue lists it
+        when this method is called. A missing one has the error `TimedOut`, or `Interrupted` if its program, a router or
+        the link ended.
+
+        Raises `NoService` if no program of the fleet serves the topic, and `Closed`.
+        """
+        return self._gathered(self._serving(), *self._all())
+
+    async def gather_async(self) -> Gathered[T]:
+        """Does the same as `gather`, for asyncio."""
+        serving = await asyncio.to_thread(self._serving)
+        received: list[Received[T]] = []
+        timed_out = None
+        try:
+            while (one := await self.received_async()) is not None:
+                received.append(one)
+        except TimedOut as error:
+            timed_out = error
+        return await asyncio.to_thread(self._gathered, serving, received, timed_out)
+
+    def _all(self) -> tuple[list[Received[T]], TimedOut | None]:
+        """Waits for all replies and errors."""
+        received: list[Received[T]] = []
+        try:
+            while (one := self.received()) is not None:
+                received.append(one)
+        except TimedOut as error:
+            return received, error
+        return received, None
+
+    def _serving(self) -> set[str]:
+        """Returns the robots whose catalogue lists the topic. The replies wait meanwhile."""
+        return registry.servers(self._session, self.asked[1])
+
+    def _gathered(self, serving: set[str], received: list[Received[T]], timed_out: TimedOut | None) -> Gathered[T]:
+        topic = self.asked[1]
+        gathered = outcomes_of(topic, serving, received, timed_out)
+        if not gathered.outcomes:
+            raise NoService(None, topic, self._peers())
+        return gathered
 
     def leave(self) -> None:
         """Ignores further replies. If the request has not ended, it is cancelled later, without blocking now."""
         self._queue.close()
         self._session.receive_queues.discard(self._queue)
         if not self._queue.queue.is_finished:
+            self._announce_close()
             self._session.abandoned.append(self)
 
     def end(self) -> None:
@@ -133,9 +198,19 @@ class Replies(Generic[T]):
         self._queue.close()
         self._session.receive_queues.discard(self._queue)
         if not self._queue.queue.is_finished and not self._session.is_closed:
+            self._announce_close()
             # This waits for a running callback; since the queue is closed, that callback does not block.
             with self._session.calls:
                 self._cancellation.cancel()
+
+    def _announce_close(self) -> None:
+        """Lets the service know that nobody waits, if it has not replied."""
+        closing = self._inquiry.close()
+        if closing is not None:
+            _, _, *query = closing
+            selector, arguments = get_arguments(*query)
+            with contextlib.suppress(zenoh.ZError, Closed), self._session.calls:
+                self._session.zenoh.get(selector, direct(_ignore), **arguments)
 
     def __enter__(self) -> Replies[T]:
         return self
@@ -157,21 +232,92 @@ class Replies(Generic[T]):
         self._queue.close()
         return TimedOut(self._inquiry.expected, self._timeout)
 
-    def _reply(self, reply: zenoh.Reply) -> Reply[T]:
-        kind, robot, payload = self._inquiry.on_reply(reply)
-        if kind == "answer" and robot is not None:
-            return Reply(robot, self._session.decoder.payload(robot, Payload(*payload)), self._converter)
-        if kind == "error":
-            raise service_error(robot, Payload(*payload))
+    def _reply(self, received: Received[T] | None) -> Reply[T] | None:
+        reply = None if received is None else received[1]
+        if isinstance(reply, RectError):
+            raise reply
+        return reply
+
+    def _received(self, reply: zenoh.Reply) -> Received[T] | None:
+        """Returns the meaning of what has arrived; `None` for the mark of a stream's end. Raises `TimedOut`."""
+        meaning = self._inquiry.on_reply(reply)
+        if meaning is None:
+            return None
+        kind, robot, payload = meaning
         if kind == "timed_out":
             raise self.timed_out()
-        raise ZenohError("the reply has no valid key of a robot", f"its key is {robot!r}")
+        return _received_of(self._session, self._converter, kind, robot, Payload(*payload))
 
 
-def service_error(robot: str | None, payload: Payload) -> ServiceError:
-    """Makes a `ServiceError` from the payload of an error reply."""
-    try:
-        value = payload.value
-    except RectError:
-        value = payload.bytes
-    return ServiceError(robot, value, payload.bytes.decode(errors="replace"))
+class RetriedRequest(Generic[T]):
+    """A request to one robot that is repeated until there is a reply, and is carried out at most once."""
+
+    def __init__(
+        self,
+        session: Session,
+        robot: str,
+        topic: str,
+        payload: Payload,
+        urgency: str,
+        timeout: float,
+        converter: Converter[T] | None,
+    ) -> None:
+        self._session = session
+        self._converter = converter
+        self._asked = robot, topic
+        self._timeout = timeout
+        self._deadline = time.monotonic() + timeout
+        self._inquiry = _rect.Inquiry(session.key_space, robot, topic, timeout, session.program.request_ids, False)
+        self._driver = _rect.retried_request(
+            self._inquiry, robot, payload.bytes, payload.encoding, urgency, session.catalogues
+        )
+        self._executor = Executor(session, self._driver, on=session.urgency_sessions.of(urgency))
+
+    @property
+    def remaining(self) -> float:
+        """Rest of the timeout, in seconds."""
+        return max(self._deadline - time.monotonic(), 0)
+
+    def run(self) -> Reply[T] | None:
+        """Returns the reply. `None`: nothing was sent, and an ordinary request may reach a service of stock Zenoh.
+
+        Raises the errors of `Robot.request`.
+        """
+        kind, robot, payload = self._executor.run()
+        if kind == "plain":
+            return None
+        if kind == "interrupted":
+            raise Interrupted(*self._asked)
+        if kind == "closed":
+            self._session.check()
+            raise Closed
+        if kind == "timed_out":
+            raise TimedOut(self._inquiry.expected, self._timeout)
+        _, reply = _received_of(self._session, self._converter, kind, robot, Payload(*payload))
+        if isinstance(reply, RectError):
+            raise reply
+        return reply
+
+    def stop(self) -> None:
+        """Ends `run` on another thread. The request is not repeated any more."""
+        self._driver.on_closed()
+        self._executor.wake()
+
+
+def _received_of(
+    session: Session, converter: Converter[T] | None, kind: str, robot: str | None, payload: Payload
+) -> Received[T]:
+    """Returns the reply or error of a service."""
+    if kind == "answer" and robot is not None:
+        try:
+            decoded = session.decoder.payload(robot, payload)
+        except RectError as error:
+            return robot, error
+        return robot, Reply(robot, decoded, converter)
+    if kind == "error":
+        return robot, service_error(robot, payload)
+    return None, ZenohError("the reply has no valid key of a robot", f"its key is {robot!r}")
+
+
+def _ignore(_: zenoh.Reply) -> None:
+    """Does nothing with the reply to an announcement."""

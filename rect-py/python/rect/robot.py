@@ -11,17 +11,18 @@ import zenoh
 
 from rect import _rect, advice, registry
 from rect.choices import LossyFormat, StreamMode, Urgency, WhenFull
-from rect.errors import NoService, OptionError
+from rect.errors import OptionError
 from rect.events import Counters, Event, Events
 from rect.message import Message
 from rect.opening import open_session
 from rect.options import Options, lifetime_of, seconds, text, whole
-from rect.program import Program, programs_of
+from rect.program import Program, ServiceEntry, programs_of
 from rect.publisher import Publisher
 from rect.receive_queue import DEFAULT_CAPACITY
 from rect.recording import Recorder
 from rect.registry import Connections
-from rect.request import Replies, Reply
+from rect.reply import Reply
+from rect.request import Replies, RetriedRequest
 from rect.service import Request, Service
 from rect.stream import Frame, StreamSender, Watcher
 from rect.subscriber import Subscriber, Subscription, callable_or_none
@@ -159,9 +160,11 @@ class Robot:
     ) -> None:
         """Sends `value` on `topic` to one robot only.
 
-        This method does not check whether that robot is reachable; `request` does.
+        Nothing confirms that a program of that robot has received it; use `request` if a reply is needed.
 
-        Raises the same errors as `publish`, and `InvalidNameError`.
+        Raises `NotReachable` if that robot is not reachable now: the first time after up to half a second, later at
+        once. A program that sends to a robot which comes and goes catches it, and one that has just started waits first
+        (`wait_for_peer`). Otherwise raises the same errors as `publish`, and `InvalidNameError`.
         """
         self._publish(topic, text("robot", robot), value, urgency, codec, expires_after)
 
@@ -347,6 +350,7 @@ class Robot:
         timeout: float = DEFAULT_TIMEOUT,
         urgency: Urgency = "normal",
         codec: CodecLike = None,
+        retry: bool = False,
     ) -> Reply[T]: ...
     @overload
     def request(
@@ -359,6 +363,7 @@ class Robot:
         timeout: float = DEFAULT_TIMEOUT,
         urgency: Urgency = "normal",
         codec: CodecLike = None,
+        retry: bool = False,
     ) -> Reply[Any]: ...
     def request(
         self,
@@ -370,6 +375,7 @@ class Robot:
         timeout: float = DEFAULT_TIMEOUT,
         urgency: Urgency = "normal",
         codec: CodecLike = None,
+        retry: bool = False,
     ) -> Reply[Any]:
         """Sends a request to a service of `robot`, and returns its first reply.
 
@@ -377,6 +383,12 @@ class Robot:
         - `returns`: type of the reply's value; see `subscribe`. Default: any value.
         - `timeout`: time to wait for the reply, in seconds. Default: 10.
         - `urgency`, `codec`: see `publish`.
+        - `retry`: whether the request is repeated while the link or a router is interrupted. For requests that must not
+          be carried out twice, such as "grab": it names the run of the program that serves the topic, which carries it
+          out once and repeats its first reply. A program that was restarted refuses it, and `Interrupted` is raised.
+          The timeout is at most 10 minutes then. The service keeps its replies to the last 64 such requests of this
+          program, at most 1 MB in all, until 60 s and the longest timeout have passed since the last one. A service of
+          stock Zenoh is asked once.
 
         Raises `ServiceError` if the service replies with an error, `NoService` if no program of that robot serves the
         topic (its text lists the reachable robots), `Interrupted` if one may have received the request and does not
@@ -388,13 +400,19 @@ class Robot:
         ...     robot.request("wombat-1", "double", 21).value
         42
         """
+        if retry:
+            retried = self._retried_request(robot, topic, value, returns, timeout, urgency, codec)
+            once = retried.run()
+            if once is not None:
+                return once
+            timeout = retried.remaining
         replies = self._request(text("robot", robot), topic, value, returns, timeout, urgency, codec)
         try:
             for reply in replies:
                 return reply
         finally:
             replies.leave()
-        raise replies.interrupted() or NoService(robot, topic, self.peers())
+        raise replies.unanswered(self.peers)
 
     @overload
     def request_all(
@@ -430,9 +448,59 @@ class Robot:
     ) -> Replies[Any]:
         """Sends a request to the services of all robots that serve `topic`, and returns an iterator of their replies.
 
-        The iteration ends when all services have replied; `Replies` lists its errors. For the parameters see `request`.
+        The iteration ends when all services have replied; `Replies` lists its errors. `gather` waits for all of them,
+        and also names the robots that did not reply. For the parameters see `request`.
         """
         return self._request(None, topic, value, returns, timeout, urgency, codec)
+
+    @overload
+    def request_stream(
+        self,
+        robot: str,
+        topic: str,
+        value: Any = "",
+        *,
+        returns: type[T],
+        timeout: float = DEFAULT_TIMEOUT,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+    ) -> Replies[T]: ...
+    @overload
+    def request_stream(
+        self,
+        robot: str,
+        topic: str,
+        value: Any = "",
+        *,
+        returns: Any = None,
+        timeout: float = DEFAULT_TIMEOUT,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+    ) -> Replies[Any]: ...
+    def request_stream(
+        self,
+        robot: str,
+        topic: str,
+        value: Any = "",
+        *,
+        returns: Any = None,
+        timeout: float = DEFAULT_TIMEOUT,
+        urgency: Urgency = "normal",
+        codec: CodecLike = None,
+    ) -> Replies[Any]:
+        """Sends a request to a service of `robot` that sends several replies, and returns an iterator of them.
+
+        The iteration ends only after all replies. It raises `Interrupted` if the program, a router or the link ended
+        midway, and the other errors of `request`. All replies have to arrive within `timeout`. Closing the iterator
+        ends the request, which its service learns (`Request.is_wanted`).
+
+        >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
+        ...     service = robot.serve("count", lambda request: (n for n in range(request.value)))
+        ...     [reply.value for reply in robot.request_stream("wombat-1", "count", 3)]
+        [0, 1, 2]
+        """
+        robot = text("robot", robot)
+        return self._request(robot, topic, value, returns, timeout, urgency, codec, is_stream=True)
 
     @overload
     def serve(
@@ -786,6 +854,14 @@ class Robot:
         self._session.check()
         return programs_of(self._session, robot or self.name)
 
+    def services(self, robot: str | None = None) -> list[ServiceEntry]:
+        """Returns what the programs of `robot` serve, in alphabetical order of the topics.
+
+        `programs` also states which program serves what, and lists the errors. `robot` defaults to this robot.
+        """
+        services = [service for program in self.programs(robot) for service in program.services]
+        return sorted(services, key=lambda service: service.topic)
+
     def query_registry(self, question: str, *, robot: str | None = None, filter: str = "") -> Any:
         """Sends a question such as `connections/count` or `status` to the registry of a router, and returns its answer.
 
@@ -844,13 +920,30 @@ class Robot:
         lifetime = lifetime_of(expires_after)
         self._session.publish(text("topic", topic), recipient, payload, text("urgency", urgency), lifetime)
 
+    def _retried_request(
+        self, robot: str, topic: str, value: Any, returns: Any, timeout: float, urgency: str, codec: CodecLike
+    ) -> RetriedRequest[Any]:
+        self._session.check()
+        converter = converter_of(returns)
+        payload = payload_of(value, codec_of(codec))
+        asked = text("robot", robot), text("topic", topic)
+        timeout = seconds("timeout", timeout)
+        return RetriedRequest(self._session, *asked, payload, text("urgency", urgency), timeout, converter)
+
     def _request(
-        self, robot: str | None, topic: str, value: Any, returns: Any, timeout: float, urgency: str, codec: CodecLike
+        self,
+        robot: str | None,
+        topic: str,
+        value: Any,
+        returns: Any,
+        timeout: float,
+        urgency: str,
+        codec: CodecLike,
+        is_stream: bool = False,
     ) -> Replies[Any]:
         self._session.check()
         converter = converter_of(returns)
         payload = payload_of(value, codec_of(codec))
         timeout = seconds("timeout", timeout)
-        return Replies(
-            self._session, robot, text("topic", topic), payload, text("urgency", urgency), timeout, converter
-        )
+        topic, urgency = text("topic", topic), text("urgency", urgency)
+        return Replies(self._session, robot, topic, payload, urgency, timeout, converter, is_stream)

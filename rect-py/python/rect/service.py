@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import inspect
 import logging
@@ -9,7 +10,7 @@ import threading
 import time
 import types
 import typing
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from typing import TYPE_CHECKING, Any, Generic
 
 import zenoh
@@ -21,6 +22,7 @@ from rect.declared import Declared
 from rect.errors import Closed, CodecError, MismatchError, PayloadError, RectError
 from rect.message import UNREAD
 from rect.receive_queue import Ended, ReceiveQueue
+from rect.requester import OpenRequests, Waiting
 from rect.typed import Converter, T, converter_of
 from rect.values import Payload, payload_of
 
@@ -48,24 +50,46 @@ class Request(Generic[T]):
     If a request is closed without a reply, the requester receives none.
     """
 
-    __slots__ = ("_key", "_query", "_session", "_value", "deadline", "payload", "sender")
+    __slots__ = (
+        "_execution",
+        "_key",
+        "_query",
+        "_replies",
+        "_session",
+        "_value",
+        "_waiting",
+        "deadline",
+        "payload",
+        "sender",
+    )
 
     def __init__(
-        self, query: zenoh.Query, requester: tuple[str | None, float], session: Session, key: str, age: float = 0
+        self,
+        query: zenoh.Query,
+        requester: _rect.Requester,
+        waiting: Waiting,
+        session: Session,
+        key: str,
+        age: float = 0,
+        execution: _rect.Execution | None = None,
     ) -> None:
-        sender, timeout = requester
         encoding = query.encoding
         self._query = query
         self._session = session
         self._key = key
         self._value = UNREAD
+        self._waiting = waiting
+        #: The number of replies so far, if the requester counts them.
+        self._replies = 0 if requester.is_stream else None
+        #: Takes the result, if the request is carried out at most once.
+        self._execution = execution
         #: Name of the robot that sent the request, as stated by its program. `None` if that program does not use RECT.
         #: The name is not verified: do not base permissions on it.
-        self.sender = sender
+        self.sender = requester.robot
         #: The payload: bytes with an encoding.
         self.payload = Payload(payload_bytes(query.payload), "zenoh/bytes" if encoding is None else str(encoding))
         #: Time at which the requester stops waiting, by `time.monotonic()`.
-        self.deadline = time.monotonic() - age + timeout
+        self.deadline = time.monotonic() - age + requester.timeout
 
     @property
     def value(self) -> T:
@@ -87,17 +111,68 @@ class Request(Generic[T]):
         """Time until the requester stops waiting, in seconds; 0 if it has stopped."""
         return max(self.deadline - time.monotonic(), 0)
 
+    @property
+    def is_wanted(self) -> bool:
+        """Whether the requester still waits for a reply, so that a handler can stop when nobody does.
+
+        It does not wait after its deadline, or if it has closed the request, or if its program or robot has ended.
+        Except for the deadline, this is known within 0.5 s. The end of a program is known if the program has a name,
+        and that of a stock Zenoh program never. The first use begins to observe the requester, which sends nothing on
+        the air.
+        """
+        self._waiting.observe()
+        return not self._waiting.has_left and self.remaining > 0
+
+    async def unwanted(self) -> None:
+        """Waits until nobody waits for a reply any more (`is_wanted`), for `async` handlers."""
+        loop, left = asyncio.get_running_loop(), asyncio.Event()
+
+        def on_left() -> None:
+            with contextlib.suppress(RuntimeError):
+                # The loop may have ended.
+                loop.call_soon_threadsafe(left.set)
+
+        await asyncio.to_thread(self._waiting.observe)
+        self._waiting.on_left(on_left)
+        with contextlib.suppress(asyncio.TimeoutError):
+            await asyncio.wait_for(left.wait(), self.remaining)
+
+    @property
+    def has_left(self) -> bool:
+        """Whether the requester has closed the request. Unlike `is_wanted`, this observes nothing."""
+        return self._waiting.has_left
+
+    def reply_all(self, values: Generator[Any, Any, Any]) -> None:
+        """Sends each value as a reply, until there are no more or the requester has left."""
+        for value in values:
+            self.reply(value)
+            if self.has_left:
+                values.close()
+        self.finish()
+
+    def finish(self) -> None:
+        """Ends a request after several replies, so that `Robot.request_stream` knows that all have arrived.
+
+        A handler that returns, or a generator that ends, has finished. Raises `ZenohError`.
+        """
+        if self._replies is None:
+            return
+        end = _rect.end_of_replies(self._replies)
+        try:
+            with self._session.calls:
+                self._query.reply(self._key, b"", attachment=end)
+        except zenoh.ZError as error:
+            raise zenoh_error("cannot send the reply", error) from error
+
     def reply(self, value: Any) -> None:
         """Sends a reply. May be called several times.
 
         Raises `PayloadError` and `ZenohError`.
         """
         payload = payload_of(value)
-        try:
-            with self._session.calls:
-                self._query.reply(self._key, payload.bytes, encoding=payload.encoding)
-        except zenoh.ZError as error:
-            raise zenoh_error("cannot send the reply", error) from error
+        self._answer(self._key, payload.bytes, payload.encoding)
+        if self._replies is not None:
+            self._replies += 1
 
     def refuse(self, error: Any) -> None:
         """Sends an error, which the requester receives as `ServiceError`.
@@ -105,16 +180,29 @@ class Request(Generic[T]):
         Raises `PayloadError` and `ZenohError`.
         """
         payload = payload_of(error)
-        encoding = _rect.error_encoding(self._session.key_space.robot, payload.encoding)
-        try:
-            with self._session.calls:
-                self._query.reply_err(payload.bytes, encoding=encoding)
-        except zenoh.ZError as refusal:
-            raise zenoh_error("cannot send the reply", refusal) from refusal
+        self._answer(None, payload.bytes, _rect.error_encoding(self._session.key_space.robot, payload.encoding))
 
     def close(self) -> None:
         """Ends the request: no more replies follow."""
+        self._waiting.end()
         self._query.drop()
+        # A repetition of a request that has no reply yet will get none.
+        self._execution = None
+
+    def _answer(self, key: str | None, payload: bytes, encoding: str) -> None:
+        """Sends a reply, or an error (`None`), also to a repetition of the request that waits for it."""
+        repeated = None if self._execution is None else self._execution.on_result(key, payload, encoding)
+        try:
+            with self._session.calls:
+                for query in (self._query,) if repeated is None else (repeated, self._query):
+                    if key is None:
+                        query.reply_err(payload, encoding=encoding)
+                    else:
+                        query.reply(key, payload, encoding=encoding)
+                if repeated is not None:
+                    repeated.drop()
+        except zenoh.ZError as error:
+            raise zenoh_error("cannot send the reply", error) from error
 
     def refuse_for(self, error: BaseException) -> None:
         """Sends an error that describes the exception of a handler.
@@ -146,11 +234,12 @@ class Requests:
         self._converter = converter
         #: Held while the router is asked whether another program serves the topic.
         self._checking = threading.Lock()
-        self._queue: ReceiveQueue[tuple[zenoh.Query, _rect.Timestamp]] = ReceiveQueue(
+        self._queue: ReceiveQueue[tuple[zenoh.Query, _rect.Timestamp, _rect.Execution | None]] = ReceiveQueue(
             _rect.SERVICE_CAPACITY, "drop_newest"
         )
         self._key = session.key_space.publication(topic)
-        service = (session.program.instance, self._on_taken_over)
+        self._open = OpenRequests()
+        service = (session.program.instance, self._on_taken_over, self._open.on_closed, session.program.once)
         on_request = _rect.OnRequest(self._queue.queue, _refuse_overload(session.key_space.robot), service)
         self._declared = Declared(session, self._queue, lambda: session.program.end(topic))
         try:
@@ -174,14 +263,17 @@ class Requests:
             if request is not None and self._decode(request):
                 return request
 
-    def _request(self, query: zenoh.Query, arrived_at: _rect.Timestamp) -> Request[Any] | None:
-        """Returns the request that a query makes. Any other query ends without a reply."""
+    def _request(
+        self, query: zenoh.Query, arrived_at: _rect.Timestamp, execution: _rect.Execution | None
+    ) -> Request[Any] | None:
+        """Returns the request that a query makes. Any other query, and a closed request, end without a reply."""
         attachment = query.attachment
-        requester = _rect.requester(str(query.key_expr), None if attachment is None else attachment.to_bytes())
-        if requester is None:
+        requester = _rect.Requester.of(str(query.key_expr), None if attachment is None else attachment.to_bytes())
+        waiting = None if requester is None else self._open.add(self._session, requester)
+        if requester is None or waiting is None:
             query.drop()
             return None
-        return Request(query, requester, self._session, self._key, arrived_at.ago())
+        return Request(query, requester, waiting, self._session, self._key, arrived_at.ago(), execution)
 
     def _decode(self, request: Request[Any]) -> bool:
         """Decodes the request, and returns whether to handle it.
@@ -332,10 +424,10 @@ def answer(request: Request[Any], handler: Callable[[Request[Any]], Any]) -> Non
         try:
             result = handler(request)
             if inspect.isgenerator(result):
-                for value in result:
-                    request.reply(value)
+                request.reply_all(result)
             else:
                 request.reply(result)
+                request.finish()
         except BaseException as error:
             # `sys.exit` included: it would end only this thread, and the requester would receive no reply.
             request.refuse_for(error)

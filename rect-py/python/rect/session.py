@@ -46,6 +46,8 @@ class Presence(Protocol):
     """The presence of this program: its name, and what it serves."""
 
     instance: int
+    request_ids: _rect.RequestIds
+    once: _rect.Once
 
     def serve(self, topic: str, about: str, allow_several: bool) -> None:
         """Announces a service, which is then declared."""
@@ -58,6 +60,17 @@ class Presence(Protocol):
     def end(self, topic: str) -> None:
         """Announces the end of a service."""
         ...
+
+
+class Checking(Protocol):
+    """Checks whether the robots are reachable to which a program sends messages."""
+
+    def is_reachable(self, robot: str) -> bool:
+        """Whether `check` returns at once."""
+        ...
+
+    def check(self, robot: str) -> None:
+        """Raises `NotReachable` unless the robot is reachable."""
 
 
 class Decoding(Protocol):
@@ -117,6 +130,8 @@ class Session:
         self.catalogues = _rect.Catalogues()
         #: Presence of this program; set when the session is complete.
         self.program: Presence
+        #: Robots to which the program sends messages; set when the session is complete.
+        self.recipients: Checking
         #: Links of the robot's router; `None` without a router.
         self.links: _rect.Links | None = None
         _OPEN.add(self)
@@ -186,8 +201,10 @@ class Session:
         """Publishes a payload to all robots or one recipient, and counts it. It expires after `lifetime` seconds."""
         called = time.monotonic()
         publication = self.publication(topic, recipient, urgency, lifetime is not None)
+        if recipient is not None:
+            self.recipients.check(recipient)
         if lifetime is not None:
-            # The first message of an urgency waits for its session.
+            # The first message of an urgency waits for its session, and the first one to a robot for its token.
             lifetime -= time.monotonic() - called
             if lifetime <= 0:
                 self.counters.on_expired()

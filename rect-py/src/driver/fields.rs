@@ -1,5 +1,5 @@
 //! Converts the items and outputs of drivers to Python objects.
-use std::convert::Infallible;
+use std::{collections::BTreeSet, convert::Infallible};
 
 use bytes::Bytes;
 use pyo3::{
@@ -78,6 +78,13 @@ impl ToPython for Vec<Name> {
     fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
         let names: Vec<&str> = self.iter().map(Name::as_str).collect();
         names.into_py_any(py)
+    }
+}
+
+impl ToPython for Option<BTreeSet<Name>> {
+    fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        let names = self.map(|names| names.into_iter().collect::<Vec<Name>>());
+        names.map_or_else(|| Ok(py.None()), |names| names.to_python(py))
     }
 }
 

@@ -34,6 +34,23 @@ pub fn reachable_robots(robot: &str, reachable: Vec<String>) -> PyResult<String>
     Ok(names::reachable_robots(&name(robot)?, &parsed(&reachable)?))
 }
 
+/// Returns the error that no program serves `topic` at a robot, or in the fleet (`None`).
+#[pyfunction]
+pub fn no_service(robot: Option<&str>, topic: &str, reachable: Vec<String>) -> PyResult<String> {
+    let robot = robot.map(name).transpose()?;
+    Ok(names::no_service(
+        robot.as_ref(),
+        topic,
+        &parsed(&reachable)?,
+    ))
+}
+
+/// Returns the description of the problem that `robot`, to which a program sends, is not reachable.
+#[pyfunction]
+pub fn not_reachable(robot: &str, reachable: Vec<String>) -> PyResult<String> {
+    Ok(names::not_reachable(&name(robot)?, &parsed(&reachable)?))
+}
+
 fn parsed(texts: &[String]) -> PyResult<Vec<Name>> {
     texts.iter().map(|text| name(text)).collect()
 }
