@@ -98,6 +98,8 @@ typedef enum rect_code {
     RECT_CODE_INTERRUPTED = 25,
     // Another program of the robot serves the topic already. The text names it.
     RECT_CODE_SERVICE_REFUSED = 26,
+    // The robot to which a message is sent is not reachable. The text lists the reachable ones. Check the name, or wait for the robot.
+    RECT_CODE_NOT_REACHABLE = 27,
 } rect_code;
 
 // The state of a connection.
@@ -257,6 +259,38 @@ typedef struct rect_array {
     size_t len;
 } rect_array;
 
+// A handle of a program's session, through which it communicates as one robot of the fleet. Release it with
+// `rect_drop(&robot.id, ..)`.
+//
+// The session ends when the last handle of the robot and of everything that was created with it is dropped, or with
+// `rect_robot_close`. Every function that takes a robot may be called by several threads at a time.
+typedef struct rect_robot {
+    // The handle.
+    uint64_t id;
+} rect_robot;
+
+// A service of a robot.
+typedef struct rect_service_entry {
+    // The topic.
+    struct rect_text topic;
+    // The name of the program that serves it; empty if the program has none.
+    struct rect_text program;
+    // Its purpose, in the words of the program; empty if there are none.
+    struct rect_text about;
+    // Whether other programs of the robot may serve the same topic. Then each of them answers.
+    bool several;
+} rect_service_entry;
+
+// The services of a robot. Release it with `rect_drop(&services.id, ..)`.
+typedef struct rect_services {
+    // The handle.
+    uint64_t id;
+    // The first service.
+    const struct rect_service_entry *items;
+    // Number of services.
+    size_t len;
+} rect_services;
+
 // A payload with a handle of its own. Release it with `rect_drop(&buffer.id, ..)`.
 typedef struct rect_buffer {
     // The handle.
@@ -279,16 +313,6 @@ typedef struct rect_string {
     // The text.
     struct rect_text text;
 } rect_string;
-
-// A handle of a program's session, through which it communicates as one robot of the fleet. Release it with
-// `rect_drop(&robot.id, ..)`.
-//
-// The session ends when the last handle of the robot and of everything that was created with it is dropped, or with
-// `rect_robot_close`. Every function that takes a robot may be called by several threads at a time.
-typedef struct rect_robot {
-    // The handle.
-    uint64_t id;
-} rect_robot;
 
 // A connection of a robot's router (docs/reference/registry.md). An unknown value is an empty text, -1 for an integer, or NAN.
 typedef struct rect_connection {
@@ -403,6 +427,32 @@ typedef struct rect_subscription {
     // The handle.
     uint64_t id;
 } rect_subscription;
+
+// The outcome of a request at one robot.
+typedef struct rect_outcome {
+    // The robot. Empty if a stock Zenoh program replied with an error, which does not name it.
+    struct rect_text robot;
+    // `RECT_CODE_OK` if it replied; otherwise the reason.
+    enum rect_code code;
+    // Its reply. Empty if there is none.
+    struct rect_payload payload;
+    // The error, for people. Empty if it replied.
+    struct rect_text error;
+    // Whether the robot serves the topic and did not reply.
+    bool is_missing;
+} rect_outcome;
+
+// The outcomes of a request to all robots: first the replies and errors in the order of their arrival, and then an error for each missing
+// robot. A robot whose programs have several services of the topic has one for each of them. Release it with
+// `rect_drop(&gathered.id, ..)`.
+typedef struct rect_gathered {
+    // The handle.
+    uint64_t id;
+    // The first outcome.
+    const struct rect_outcome *items;
+    // Number of outcomes.
+    size_t len;
+} rect_gathered;
 
 // An uncompressed picture: rows of pixels without padding, from the top left. It is valid until `rect_drop(&picture.id,
 // ..)`.
@@ -837,6 +887,17 @@ enum rect_code rect_array_read(const struct rect_payload *payload,
 enum rect_code rect_error_cause(size_t index,
                                 char (*text)[RECT_ERROR_BYTES]);
 
+// Writes what the programs of a robot serve to `services`, in the order in which the programs began. `target` is the robot; NULL means
+// this robot.
+//
+// An answer is kept until the robot's programs announce a change (at most once a second), so that asking again costs nothing on the air.
+//
+// Returns `RECT_CODE_NO_SERVICE` if no router with a catalogue answers. May be called on any thread; blocks until the reply arrives.
+enum rect_code rect_robot_services(struct rect_robot robot,
+                                   const char *target,
+                                   struct rect_services *services,
+                                   struct rect_error *error);
+
 // Encodes a payload with a codec, e.g. `zstd:9`, `jpeg:60`, `webp:60`, `png` or `quantised:0.01`, and writes the result to
 // `buffer`. A handle of `rect_robot_with_codec` encodes the payloads of all its messages and requests.
 //
@@ -958,6 +1019,20 @@ enum rect_code rect_robot_on_event(struct rect_robot robot,
                                    rect_release release,
                                    struct rect_subscription *subscription,
                                    struct rect_error *error);
+
+// Sends a request to the service `topic` of every robot that offers it, waits until all have replied or `timeout_ms` has passed, and
+// writes the outcome of each robot to `gathered`. An error of one robot does not end the wait.
+//
+// The robots that serve the topic are those whose catalogue lists it. A missing one has `RECT_CODE_TIMED_OUT`, or
+// `RECT_CODE_INTERRUPTED` if its program, a router or the link ended.
+//
+// Returns `RECT_CODE_NO_SERVICE` if no program of the fleet serves the topic. May be called on any thread.
+enum rect_code rect_robot_gather(struct rect_robot robot,
+                                 const char *topic,
+                                 const struct rect_payload *payload,
+                                 uint32_t timeout_ms,
+                                 struct rect_gathered *gathered,
+                                 struct rect_error *error);
 
 // Drops the object of any kind that an `id` belongs to, and sets the `id` to 0. An `id` of 0 is ignored, like `free(NULL)`.
 //
@@ -1112,7 +1187,8 @@ enum rect_code rect_robot_request(struct rect_robot robot,
                                   struct rect_error *error);
 
 // Sends a request to the service `topic` of every robot that offers it, and writes the handle of the replies to `replies`.
-// `rect_replies_next` returns them until all robots have replied or `timeout_ms` has passed.
+// `rect_replies_next` returns them until all robots have replied or `timeout_ms` has passed. `rect_robot_gather` also names the robots
+// that did not reply.
 //
 // May be called on any thread.
 enum rect_code rect_robot_request_all(struct rect_robot robot,
@@ -1122,10 +1198,24 @@ enum rect_code rect_robot_request_all(struct rect_robot robot,
                                       struct rect_replies *replies,
                                       struct rect_error *error);
 
+// Sends a request to the service `topic` of the robot `recipient`, which sends several replies, such as the results of a scan, and writes
+// the handle of the replies to `replies`. `rect_replies_next` returns `RECT_CODE_END` only after all of them, and
+// `RECT_CODE_INTERRUPTED` if the program, a router or the link ended midway. All replies have to arrive within `timeout_ms`.
+//
+// May be called on any thread.
+enum rect_code rect_robot_request_stream(struct rect_robot robot,
+                                         const char *recipient,
+                                         const char *topic,
+                                         const struct rect_payload *payload,
+                                         uint32_t timeout_ms,
+                                         struct rect_replies *replies,
+                                         struct rect_error *error);
+
 // Waits for the next reply and writes it to `reply`.
 //
 // Returns `RECT_CODE_SERVICE` if a robot replied with an error, after which there may be more replies; `RECT_CODE_END` if
-// all robots have replied; and `RECT_CODE_TIMED_OUT` if the request's timeout expired before that.
+// all robots have replied, or all replies of a stream have arrived; and `RECT_CODE_TIMED_OUT` if the request's timeout expired before
+// that.
 //
 // May be called on any thread; calls of several threads run one after another.
 enum rect_code rect_replies_next(struct rect_replies replies,
@@ -1183,6 +1273,20 @@ enum rect_code rect_robot_expires_after(struct rect_robot robot,
                                         struct rect_robot *derived,
                                         struct rect_error *error);
 
+// Creates a handle of the same robot whose `rect_robot_request` is repeated while the link or a router is interrupted, and is
+// carried out at most once, and writes it to `derived`. For requests that must not be carried out twice, such as "grab".
+//
+// The request names the run of the program that serves the topic. That run carries it out once, and repeats its first reply. A
+// program that was restarted refuses it: `RECT_CODE_INTERRUPTED`, and the request was carried out at most once, before the restart.
+// The timeout of such a request is at most 10 minutes; `RECT_CODE_OPTION` is returned for a longer one. The service keeps its
+// replies to the last 64 such requests of this program, at most 1 MB in all, until 60 s and the longest timeout have passed since
+// the last one. A service of stock Zenoh is asked once. Both handles share the session, and both must be dropped.
+//
+// May be called on any thread.
+enum rect_code rect_robot_retrying(struct rect_robot robot,
+                                   struct rect_robot *derived,
+                                   struct rect_error *error);
+
 // Creates a handle of the same robot that encodes the payloads of its messages and requests with a codec, e.g. `zstd:9`,
 // `jpeg:60`, `webp:60`, `png` or `quantised:0.01`, and writes it to `derived`. Receivers decode them automatically. Both
 // handles share the session, and both must be dropped.
@@ -1227,11 +1331,13 @@ enum rect_code rect_robot_publish(struct rect_robot robot,
                                   const struct rect_payload *payload,
                                   struct rect_error *error);
 
-// Sends a payload on `topic` to one robot only. The sender is not notified whether the recipient is reachable; use
-// `rect_robot_request` if that matters.
+// Sends a payload on `topic` to one robot only. Nothing confirms that a program of the robot has received it; use
+// `rect_robot_request` if a reply is needed.
 //
-// Returns `RECT_CODE_NAME` or `RECT_CODE_TOPIC` if the recipient or the topic is invalid. May be called on any thread.
-// Blocks while the send queue has no room for a large payload.
+// Returns `RECT_CODE_NOT_REACHABLE` if the recipient is not reachable now; a program that has just started waits first
+// (`rect_robot_wait_for_peer`). Returns `RECT_CODE_NAME` or `RECT_CODE_TOPIC` if the recipient or the topic is invalid. May be called
+// on any thread. Blocks while the send queue has no room for a large payload, and for up to half a second for the first message to a
+// recipient that is not reachable.
 enum rect_code rect_robot_send(struct rect_robot robot,
                                const char *recipient,
                                const char *topic,
@@ -1328,9 +1434,10 @@ enum rect_code rect_robot_serve(struct rect_robot robot,
                                 struct rect_service *service,
                                 struct rect_error *error);
 
-// Replies to a request. `request` is its `id`.
+// Replies to a request. `request` is its `id`. A service may reply several times; `rect_robot_request` receives the first reply, and
+// `rect_robot_request_stream` all of them. The last one is sent when the callback returns.
 //
-// Returns `RECT_CODE_ARGUMENT` if it already has a reply, and `RECT_CODE_HANDLE` after the callback has returned. May be
+// Returns `RECT_CODE_ARGUMENT` if the request was refused, and `RECT_CODE_HANDLE` after the callback has returned. May be
 // called on any thread.
 enum rect_code rect_request_reply(uint64_t request,
                                   const struct rect_payload *payload,
@@ -1339,11 +1446,19 @@ enum rect_code rect_request_reply(uint64_t request,
 // Replies to a request with an error. The sender's call returns `RECT_CODE_SERVICE` with this payload as the text.
 // `request` is the request's `id`.
 //
-// Returns `RECT_CODE_ARGUMENT` if it already has a reply, and `RECT_CODE_HANDLE` after the callback has returned. May be
+// Returns `RECT_CODE_ARGUMENT` if it was refused already, and `RECT_CODE_HANDLE` after the callback has returned. May be
 // called on any thread.
 enum rect_code rect_request_refuse(uint64_t request,
                                    const struct rect_payload *payload,
                                    struct rect_error *error);
+
+// Returns whether the requester still waits for a reply, so that a callback can stop when nobody does. `request` is the request's `id`.
+//
+// It does not wait after its deadline, or if it has closed the request, or if its program or robot has ended. Except for the deadline,
+// this is known within 0.5 s. The end of a program is known if the program has a name, and that of a stock Zenoh program never. The first
+// call begins to observe the requester, which sends nothing on the air. Returns false after the callback has returned. May be called on
+// any thread.
+bool rect_request_is_wanted(uint64_t request);
 
 // Creates a stream of which only the newest frame matters (a slow link drops older ones), and writes it to `stream`.
 // `options` may be NULL for the defaults.

@@ -175,7 +175,7 @@ fn into_c(connections: Vec<rect::Connection>) -> Connections {
 }
 
 /// Returns the robot whose router a call refers to: `target`, or the program's own robot if it is NULL.
-fn target_robot(program: &Program, target: Option<&str>) -> Result<Name, Failure> {
+pub fn target_robot(program: &Program, target: Option<&str>) -> Result<Name, Failure> {
     match target {
         None => Ok(program.robot.name().clone()),
         Some(name) => Ok(Name::new(name)?),

@@ -68,6 +68,8 @@ pub enum Code {
     Interrupted = 25,
     /// Another program of the robot serves the topic already. The text names it.
     ServiceRefused = 26,
+    /// The robot to which a message is sent is not reachable. The text lists the reachable ones. Check the name, or wait for the robot.
+    NotReachable = 27,
 }
 
 /// The reason why a call failed.
@@ -148,6 +150,7 @@ fn code(error: &Error) -> Code {
         Error::LoginRefused(_) => Code::LoginRefused,
         Error::WrongRobot(_) => Code::WrongRobot,
         Error::Option { .. } => Code::Option,
+        Error::NotReachable { .. } => Code::NotReachable,
         Error::NoService { .. } => Code::NoService,
         Error::ServiceRefused { .. } => Code::ServiceRefused,
         Error::Interrupted { .. } => Code::Interrupted,

@@ -44,6 +44,13 @@ pub struct Buffer {
 }
 
 impl PayloadView {
+    /// The absence of a payload.
+    pub const EMPTY: Self = Self {
+        data: std::ptr::null(),
+        len: 0,
+        encoding: Text::NONE,
+    };
+
     /// Points to a payload, which must outlive the result.
     pub fn of(payload: &Payload) -> Self {
         Self {

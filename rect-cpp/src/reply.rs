@@ -10,6 +10,7 @@ use crate::{
     failure::{Code, Failure},
     handle::{self, Object},
     payload::PayloadView,
+    program::Program,
     robot::RobotHandle,
     text::Text,
 };
@@ -64,6 +65,15 @@ impl PendingReplies {
         })?;
         Ok(next?)
     }
+}
+
+fn replies_into_c(program: &Program, replies: rect::Replies) -> Replies {
+    let id = handle::insert(PendingReplies {
+        replies,
+        runtime: program.runtime.clone(),
+        stop: CancellationToken::new(),
+    });
+    Replies { id }
 }
 
 fn into_c(reply: rect::Reply) -> Reply {
@@ -127,7 +137,8 @@ pub unsafe extern "C" fn rect_robot_request(
 }
 
 /// Sends a request to the service `topic` of every robot that offers it, and writes the handle of the replies to `replies`.
-/// `rect_replies_next` returns them until all robots have replied or `timeout_ms` has passed.
+/// `rect_replies_next` returns them until all robots have replied or `timeout_ms` has passed. `rect_robot_gather` also names the robots
+/// that did not reply.
 ///
 /// May be called on any thread.
 #[no_mangle]
@@ -151,19 +162,47 @@ pub unsafe extern "C" fn rect_robot_request_all(
                 .with_timeout(timeout)
                 .request_all(topic, payload),
         )?;
-        let id = handle::insert(PendingReplies {
-            replies: incoming,
-            runtime: program.runtime.clone(),
-            stop: CancellationToken::new(),
-        });
-        write_out("replies", replies, Replies { id })
+        write_out("replies", replies, replies_into_c(&program, incoming))
+    })
+}
+
+/// Sends a request to the service `topic` of the robot `recipient`, which sends several replies, such as the results of a scan, and writes
+/// the handle of the replies to `replies`. `rect_replies_next` returns `RECT_CODE_END` only after all of them, and
+/// `RECT_CODE_INTERRUPTED` if the program, a router or the link ended midway. All replies have to arrive within `timeout_ms`.
+///
+/// May be called on any thread.
+#[no_mangle]
+pub unsafe extern "C" fn rect_robot_request_stream(
+    robot: RobotHandle,
+    recipient: *const c_char,
+    topic: *const c_char,
+    payload: Option<&PayloadView>,
+    timeout_ms: u32,
+    replies: Option<&mut MaybeUninit<Replies>>,
+    error: Option<&mut MaybeUninit<ErrorOut>>,
+) -> Code {
+    call(error, || {
+        require_out("replies", &replies)?;
+        // SAFETY: the caller follows the rules of rect.h.
+        let (recipient, topic, payload) = unsafe {
+            (
+                text("recipient", recipient)?,
+                text("topic", topic)?,
+                require("payload", payload)?.read()?,
+            )
+        };
+        let (program, timeout) = (robot.resolve()?, Duration::from_millis(timeout_ms.into()));
+        let patient = program.robot.with_timeout(timeout);
+        let incoming = program.wait(patient.request_stream(recipient, topic, payload))?;
+        write_out("replies", replies, replies_into_c(&program, incoming))
     })
 }
 
 /// Waits for the next reply and writes it to `reply`.
 ///
 /// Returns `RECT_CODE_SERVICE` if a robot replied with an error, after which there may be more replies; `RECT_CODE_END` if
-/// all robots have replied; and `RECT_CODE_TIMED_OUT` if the request's timeout expired before that.
+/// all robots have replied, or all replies of a stream have arrived; and `RECT_CODE_TIMED_OUT` if the request's timeout expired before
+/// that.
 ///
 /// May be called on any thread; calls of several threads run one after another.
 #[no_mangle]

@@ -165,6 +165,30 @@ pub extern "C" fn rect_robot_expires_after(
     })
 }
 
+/// Creates a handle of the same robot whose `rect_robot_request` is repeated while the link or a router is interrupted, and is
+/// carried out at most once, and writes it to `derived`. For requests that must not be carried out twice, such as "grab".
+///
+/// The request names the run of the program that serves the topic. That run carries it out once, and repeats its first reply. A
+/// program that was restarted refuses it: `RECT_CODE_INTERRUPTED`, and the request was carried out at most once, before the restart.
+/// The timeout of such a request is at most 10 minutes; `RECT_CODE_OPTION` is returned for a longer one. The service keeps its
+/// replies to the last 64 such requests of this program, at most 1 MB in all, until 60 s and the longest timeout have passed since
+/// the last one. A service of stock Zenoh is asked once. Both handles share the session, and both must be dropped.
+///
+/// May be called on any thread.
+#[no_mangle]
+pub extern "C" fn rect_robot_retrying(
+    robot: RobotHandle,
+    derived: Option<&mut MaybeUninit<RobotHandle>>,
+    error: Option<&mut MaybeUninit<ErrorOut>>,
+) -> Code {
+    call(error, || {
+        require_out("derived", &derived)?;
+        let program = robot.resolve()?;
+        let robot = program.derive(program.robot.retrying());
+        write_out("derived", derived, RobotHandle::of(robot))
+    })
+}
+
 /// Creates a handle of the same robot that encodes the payloads of its messages and requests with a codec, e.g. `zstd:9`,
 /// `jpeg:60`, `webp:60`, `png` or `quantised:0.01`, and writes it to `derived`. Receivers decode them automatically. Both
 /// handles share the session, and both must be dropped.
@@ -262,11 +286,13 @@ pub unsafe extern "C" fn rect_robot_publish(
     })
 }
 
-/// Sends a payload on `topic` to one robot only. The sender is not notified whether the recipient is reachable; use
-/// `rect_robot_request` if that matters.
+/// Sends a payload on `topic` to one robot only. Nothing confirms that a program of the robot has received it; use
+/// `rect_robot_request` if a reply is needed.
 ///
-/// Returns `RECT_CODE_NAME` or `RECT_CODE_TOPIC` if the recipient or the topic is invalid. May be called on any thread.
-/// Blocks while the send queue has no room for a large payload.
+/// Returns `RECT_CODE_NOT_REACHABLE` if the recipient is not reachable now; a program that has just started waits first
+/// (`rect_robot_wait_for_peer`). Returns `RECT_CODE_NAME` or `RECT_CODE_TOPIC` if the recipient or the topic is invalid. May be called
+/// on any thread. Blocks while the send queue has no room for a large payload, and for up to half a second for the first message to a
+/// recipient that is not reachable.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_send(
     robot: RobotHandle,

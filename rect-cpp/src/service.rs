@@ -74,9 +74,12 @@ impl Object for RunningService {
 
 type ReplyResult = Result<Payload, Payload>;
 
-/// A request that the callback handles, with the program's reply if there is one yet.
-#[derive(Default)]
-struct PendingRequest(Mutex<Option<ReplyResult>>);
+/// A request that the callback handles, with the program's last reply if there is one yet. It is sent when the next one follows, or the
+/// callback returns.
+struct PendingRequest {
+    request: Arc<rect::Request>,
+    last: Mutex<Option<ReplyResult>>,
+}
 
 impl Object for PendingRequest {
     const KIND: &'static str = "request";
@@ -84,16 +87,19 @@ impl Object for PendingRequest {
 
 impl PendingRequest {
     fn set(&self, reply: ReplyResult) -> Result<(), Failure> {
-        let mut current = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if current.is_some() {
-            return Err(Failure::argument("request", "already has a reply"));
+        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        match last.replace(reply) {
+            None => Ok(()),
+            Some(Ok(earlier)) => Ok(self.request.reply(earlier)?),
+            refusal => {
+                *last = refusal;
+                Err(Failure::argument("request", "was refused already"))
+            }
         }
-        *current = Some(reply);
-        Ok(())
     }
 
     fn take(&self) -> Option<ReplyResult> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).take()
+        (self.last.lock().unwrap_or_else(PoisonError::into_inner)).take()
     }
 }
 
@@ -103,11 +109,14 @@ fn refusal(text: &'static str) -> Payload {
 
 /// Passes the request to the program's callback and returns its reply.
 fn run_callback(
-    request: &rect::Request,
+    request: &Arc<rect::Request>,
     callback: &Callback,
     function: extern "C" fn(*const Request, *mut c_void),
 ) -> ReplyResult {
-    let pending = Arc::new(PendingRequest::default());
+    let pending = Arc::new(PendingRequest {
+        request: request.clone(),
+        last: Mutex::default(),
+    });
     let called = callback.run(|context| {
         // Removed before the call ends, so that no handle is left when the service has been dropped.
         let id = handle::insert_shared(pending.clone());
@@ -211,9 +220,10 @@ unsafe fn finish(
     handle::get::<PendingRequest>(request)?.set(as_result(payload))
 }
 
-/// Replies to a request. `request` is its `id`.
+/// Replies to a request. `request` is its `id`. A service may reply several times; `rect_robot_request` receives the first reply, and
+/// `rect_robot_request_stream` all of them. The last one is sent when the callback returns.
 ///
-/// Returns `RECT_CODE_ARGUMENT` if it already has a reply, and `RECT_CODE_HANDLE` after the callback has returned. May be
+/// Returns `RECT_CODE_ARGUMENT` if the request was refused, and `RECT_CODE_HANDLE` after the callback has returned. May be
 /// called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_request_reply(
@@ -228,7 +238,7 @@ pub unsafe extern "C" fn rect_request_reply(
 /// Replies to a request with an error. The sender's call returns `RECT_CODE_SERVICE` with this payload as the text.
 /// `request` is the request's `id`.
 ///
-/// Returns `RECT_CODE_ARGUMENT` if it already has a reply, and `RECT_CODE_HANDLE` after the callback has returned. May be
+/// Returns `RECT_CODE_ARGUMENT` if it was refused already, and `RECT_CODE_HANDLE` after the callback has returned. May be
 /// called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_request_refuse(
@@ -238,4 +248,20 @@ pub unsafe extern "C" fn rect_request_refuse(
 ) -> Code {
     // SAFETY: the caller follows the rules of rect.h.
     call(error, || unsafe { finish(request, payload, Err) })
+}
+
+/// Returns whether the requester still waits for a reply, so that a callback can stop when nobody does. `request` is the request's `id`.
+///
+/// It does not wait after its deadline, or if it has closed the request, or if its program or robot has ended. Except for the deadline,
+/// this is known within 0.5 s. The end of a program is known if the program has a name, and that of a stock Zenoh program never. The first
+/// call begins to observe the requester, which sends nothing on the air. Returns false after the callback has returned. May be called on
+/// any thread.
+#[no_mangle]
+pub extern "C" fn rect_request_is_wanted(request: u64) -> bool {
+    let mut is_wanted = false;
+    let code = call(None, || {
+        is_wanted = handle::get::<PendingRequest>(request)?.request.is_wanted();
+        Ok(())
+    });
+    matches!(code, Code::Ok) && is_wanted
 }

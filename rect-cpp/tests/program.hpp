@@ -17,6 +17,7 @@ inline std::string kind(rect::Code code) {
         case rect::Code::closed: return "closed";
         case rect::Code::dictionary: return "dictionary";
         case rect::Code::name: return "name";
+        case rect::Code::not_reachable: return "not_reachable";
         case rect::Code::no_service: return "no_service";
         case rect::Code::option: return "option";
         case rect::Code::service: return "service";

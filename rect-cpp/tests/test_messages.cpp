@@ -37,13 +37,31 @@ TEST_CASE("a message sent to one robot has its recipient and urgency") {
     rect::expected<rect::Message> message = subscriber.next(0ms);
     until([&] {
         must(urgent.send("wombat-2", "stop", "now"));
-        must(urgent.send("wombat-3", "stop", "not you"));
         message = subscriber.next(retry_interval);
         return message.has_value();
     });
     CHECK(message->recipient() == "wombat-2");
     CHECK(message->urgency() == rect::Urgency::urgent);
     CHECK(must(message->payload.text()) == "now");
+}
+
+TEST_CASE("a message to a robot that is not reachable is an error that lists the reachable ones") {
+    Pair pair;
+    must(pair.one.send("wombat-1", "stop", "to itself"));
+    for (int n = 0; n < 2; ++n) {
+        const auto sent = pair.one.send("wmbat-2", "stop", "now");
+        REQUIRE_FALSE(sent.has_value());
+        CHECK(sent.error().code == rect::Code::not_reachable);
+        CHECK(sent.error().text == "wmbat-2 is not reachable; did you mean wombat-2? (reachable robots: wombat-2)");
+    }
+    must(pair.one.send("wombat-2", "stop", "now"));
+    must(pair.two.close());
+    until([&] {
+        const auto sent = pair.one.send("wombat-2", "stop", "now");
+        return !sent && sent.error().code == rect::Code::not_reachable;
+    });
+    pair.two = connect_without_router("wombat-2", "", pair.endpoint);
+    until([&] { return pair.one.send("wombat-2", "stop", "now").has_value(); });
 }
 
 TEST_CASE("a message that is read too late has expired") {

@@ -38,6 +38,67 @@ TEST_CASE("a service replies to requests of one robot and of all") {
     CHECK(replies.next().error().code == rect::Code::end);
 }
 
+TEST_CASE("each robot that serves a topic has an outcome") {
+    Pair pair;
+    CHECK_THAT(pair.one.gather("cell", "", 2s).error().text, ContainsSubstring("no program of the fleet serves cell"));
+    rect::ServiceOptions options;
+    options.about = "the voltage of a cell";
+    const auto service = must(pair.two.serve("cell", [](const rect::Request& request) -> std::string {
+        if (must(request.payload.text()) == "stuck") {
+            throw rect::Refusal("the arm is stuck");
+        }
+        return "7.2 V";
+    }, options));
+    must(request_when_available(pair.one, "cell", ""));
+    const auto services = must(pair.one.services("wombat-2"));
+    REQUIRE(services.size() == 1);
+    CHECK(services[0].topic == "cell");
+    CHECK(services[0].about == "the voltage of a cell");
+    CHECK_FALSE(services[0].several);
+    const auto replied = must(pair.one.gather("cell", "", deadline));
+    REQUIRE(replied.outcomes().size() == 1);
+    CHECK(replied.outcomes()[0].robot == "wombat-2");
+    CHECK(must(must(replied.outcomes()[0].reply).text()) == "7.2 V");
+    const auto refused = must(pair.one.gather("cell", "stuck", deadline));
+    REQUIRE(refused.outcomes().size() == 1);
+    CHECK(refused.outcomes()[0].reply.error().code == rect::Code::service);
+    CHECK_FALSE(refused.outcomes()[0].is_missing);
+}
+
+TEST_CASE("a stream of replies ends after the last one") {
+    Pair pair;
+    const auto service = must(pair.two.serve("scan", [](const rect::Request& request) {
+        must(request.reply("1"));
+        must(request.reply("2"));
+        return "3";
+    }));
+    CHECK(must(must(request_when_available(pair.one, "scan", "")).payload.text()) == "1");
+    const auto replies = must(pair.one.request_stream("wombat-2", "scan", "", deadline));
+    for (const auto* expected : {"1", "2", "3"}) {
+        CHECK(must(must(replies.next()).payload.text()) == expected);
+    }
+    CHECK(replies.next().error().code == rect::Code::end);
+}
+
+TEST_CASE("a service learns that nobody waits") {
+    Pair pair;
+    std::atomic<bool> is_waited_for{false}, has_learnt{false};
+    const auto service = must(pair.two.serve("long", [&](const rect::Request& request) {
+        if (must(request.payload.text()) == "wait") {
+            is_waited_for = request.is_wanted();
+            until([&] { return !request.is_wanted(); });
+            has_learnt = request.remaining() > 0ms;
+        }
+        return "done";
+    }));
+    must(request_when_available(pair.one, "long", ""));
+    {
+        const auto replies = must(pair.one.request_stream("wombat-2", "long", "wait", deadline));
+        until([&] { return is_waited_for.load(); });
+    }
+    until([&] { return has_learnt.load(); });
+}
+
 TEST_CASE("a refusal, thrown or returned, is reported to the sender of the request") {
     Pair pair;
     const auto thrower = must(pair.two.serve("thrower", [](const rect::Request&) -> std::string {
@@ -98,6 +159,43 @@ TEST_CASE("a request whose program ends may have been carried out") {
     go.set();
     REQUIRE_FALSE(reply.has_value());
     CHECK(reply.error().code == rect::Code::interrupted);
+}
+
+TEST_CASE("a request that is repeated is carried out once, and not by a program that was restarted") {
+    const std::string endpoint = free_endpoint();
+    const rect::Robot one = connect_without_router("wombat-1", endpoint, "");
+    const auto retrying = must(one.retrying());
+    std::atomic<int> count{0};
+    Flag began;
+    Flag go;
+    const auto grab = [&](const rect::Request& request) {
+        ++count;
+        if (request.payload.text().value() == "wait") {
+            began.set();
+            go.wait();
+        }
+        return "done";
+    };
+    rect::expected<rect::Reply> reply = rect::unexpected<rect::Error>(rect::Error{rect::Code::other, ""});
+    std::thread asking;
+    {
+        const rect::Robot two = connect_without_router("wombat-2", "", endpoint);
+        const auto service = must(two.serve("grab", grab));
+        must(request_when_available(retrying, "grab", "ready?"));
+        asking = std::thread([&] { reply = retrying.request("wombat-2", "grab", "wait", deadline); });
+        REQUIRE(began.wait());
+        must(two.close());
+        go.set();
+    }
+    const int carried_out = count;
+    const rect::Robot two = connect_without_router("wombat-2", "", endpoint);
+    const auto service = must(two.serve("grab", grab));
+    asking.join();
+    REQUIRE_FALSE(reply.has_value());
+    CHECK(reply.error().code == rect::Code::interrupted);
+    CHECK(count == carried_out);
+    CHECK(must(must(request_when_available(retrying, "grab", "again")).payload.text()) == "done");
+    CHECK(retrying.request("wombat-2", "grab", "", 601s).error().code == rect::Code::option);
 }
 
 TEST_CASE("a slow service times out, and dropping it waits for the call in progress") {

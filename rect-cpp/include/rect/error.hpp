@@ -78,6 +78,8 @@ enum class Code {
     interrupted = RECT_CODE_INTERRUPTED,
     /// Another program of the robot serves the topic already. The text names it.
     service_refused = RECT_CODE_SERVICE_REFUSED,
+    /// The robot to which a message is sent is not reachable. The text lists the reachable ones. Check the name, or wait for the robot.
+    not_reachable = RECT_CODE_NOT_REACHABLE,
 };
 
 /// The reason why a call failed.

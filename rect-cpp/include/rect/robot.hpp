@@ -77,6 +77,14 @@ public:
         });
     }
 
+    /// Returns a handle of the same robot whose `request` is repeated while the link or a router is interrupted, and is carried out at
+    /// most once: `robot.retrying()`. The request names the run of the program that serves the topic, which carries it out once and
+    /// repeats its first reply. A program that was restarted refuses it (Code::interrupted). The timeout is at most 10 minutes
+    /// (Code::option). `rect_robot_retrying` in rect.h states how long replies are kept.
+    [[nodiscard]] expected<Robot> retrying() const {
+        return derive([&](rect_robot* derived, rect_error* error) { return rect_robot_retrying(raw(), derived, error); });
+    }
+
     /// Returns a handle of the same robot that encodes the payloads of its messages and requests:
     /// `robot.with_codec("zstd:9")`. Receivers decode them automatically. Fails with Code::codec if the codec is unknown.
     [[nodiscard]] expected<Robot> with_codec(const Text& codec) const {
@@ -137,8 +145,10 @@ public:
         return detail::value_or_error<Recorder>(code, error, [&] { return Recorder(recorder.id); });
     }
 
-    /// Sends a value on `topic` to one robot only. The sender is not notified whether the recipient is reachable; use
-    /// `request` if that matters. Fails like `publish`, and with Code::name if the recipient is invalid.
+    /// Sends a value on `topic` to one robot only. Nothing confirms that a program of the robot has received it; use `request` if
+    /// a reply is needed. Fails like `publish`, with Code::name if the recipient is invalid, and with Code::not_reachable if it is not
+    /// reachable now: the first time after up to half a second, later at once. A program that sends to a robot which comes and goes
+    /// ignores that error, and one that has just started waits first (wait_for_peer).
     template <class T>
     expected<void> send(const Text& recipient, const Text& topic, const T& value) const {
         return detail::with_payload(value, [&](const rect_payload& payload) {
@@ -222,6 +232,39 @@ public:
             rect_error error;
             return detail::ok_or_error(
                 rect_robot_request_all(raw(), topic.c_str(), &payload, detail::ms(timeout), &replies, &error), error);
+        });
+        return requested ? expected<Created>(Created(replies.id)) : unexpected<Error>(requested.error());
+    }
+
+    /// Sends a request to the service `topic` of every robot that offers it, waits until all have replied or `timeout` has passed, and
+    /// returns the outcome of each robot. An error of one robot does not end the wait. The robots that offer it are those whose
+    /// catalogue lists it. A missing one has Code::timed_out, or Code::interrupted if its program, a router or the link ended. Fails with
+    /// Code::no_service if no program of the fleet serves the topic.
+    template <class T>
+    [[nodiscard]] expected<Gathered> gather(const Text& topic, const T& value, Milliseconds timeout = default_timeout) const {
+        rect_gathered gathered{};
+        const auto requested = detail::with_payload(value, [&](const rect_payload& payload) {
+            rect_error error;
+            return detail::ok_or_error(
+                rect_robot_gather(raw(), topic.c_str(), &payload, detail::ms(timeout), &gathered, &error), error);
+        });
+        return requested ? expected<Gathered>(Gathered(gathered)) : unexpected<Error>(requested.error());
+    }
+
+    /// Sends a request to the service `topic` of `recipient`, which sends several replies, such as the results of a scan. The last call of
+    /// `next` fails with Code::end after all of them, and with Code::interrupted if the program, a router or the link ended midway. All
+    /// replies, RepliesOf with `request_stream<Pose>(...)`, have to arrive within `timeout`.
+    template <class R = void, class T>
+    [[nodiscard]] auto request_stream(const Text& recipient, const Text& topic, const T& value,
+                                      Milliseconds timeout = default_timeout) const
+        -> expected<std::conditional_t<std::is_void_v<R>, Replies, RepliesOf<R>>> {
+        using Created = std::conditional_t<std::is_void_v<R>, Replies, RepliesOf<R>>;
+        rect_replies replies{};
+        const auto requested = detail::with_payload(value, [&](const rect_payload& payload) {
+            rect_error error;
+            return detail::ok_or_error(rect_robot_request_stream(raw(), recipient.c_str(), topic.c_str(), &payload,
+                                                                 detail::ms(timeout), &replies, &error),
+                                       error);
         });
         return requested ? expected<Created>(Created(replies.id)) : unexpected<Error>(requested.error());
     }
@@ -415,6 +458,24 @@ public:
             std::vector<Connection> all;
             for (const auto& connection : span<const rect_connection>(connections.items, connections.len)) {
                 all.emplace_back(connection);
+            }
+            return all;
+        });
+    }
+
+    /// Returns what the programs of a robot serve, in the order in which the programs began. `target` is the robot; empty means this
+    /// robot. An answer is kept until the robot's programs announce a change (at most once a second), so that asking again costs nothing
+    /// on the air. Fails with Code::no_service if no router with a catalogue answers.
+    [[nodiscard]] expected<std::vector<ServiceEntry>> services(const std::string& target = {}) const {
+        rect_services services;
+        rect_error error;
+        const auto code = rect_robot_services(raw(), detail::or_null(target), &services, &error);
+        return detail::value_or_error<std::vector<ServiceEntry>>(code, error, [&] {
+            const Handle handle(services.id);
+            std::vector<ServiceEntry> all;
+            for (const auto& service : span<const rect_service_entry>(services.items, services.len)) {
+                all.push_back({std::string(detail::view(service.topic)), std::string(detail::view(service.program)),
+                               std::string(detail::view(service.about)), service.several});
             }
             return all;
         });

@@ -10,6 +10,7 @@
 #include <string_view>
 #include <type_traits>
 #include <utility>
+#include <vector>
 
 #include "callback.hpp"
 #include "payload.hpp"
@@ -34,7 +35,8 @@ private:
     rect_text sender_;
 };
 
-/// The replies to one request, in the order of arrival. Destroying it cancels the request.
+/// The replies to one request of Robot::request_all or Robot::request_stream, in the order of arrival. Destroying it cancels the
+/// request.
 ///
 ///     const auto replies = rect::must(robot.request_all("battery", ""));
 ///     while (const auto reply = replies.next()) {
@@ -45,14 +47,64 @@ public:
     using Handle::Handle;
 
     /// Waits for the next reply. Fails with Code::service if a robot replied with an error, after which there may be more
-    /// replies; with Code::end if all robots have replied; and with Code::timed_out if the request's timeout expired before
-    /// that.
+    /// replies; with Code::end if all robots have replied, or all replies of a stream have arrived; with Code::interrupted if a stream
+    /// ended midway; and with Code::timed_out if the request's timeout expired before that.
     [[nodiscard]] expected<Reply> next() const {
         rect_reply reply;
         rect_error error;
         const auto code = rect_replies_next({handle_id()}, &reply, &error);
         return detail::value_or_error<Reply>(code, error, [&] { return Reply(reply); });
     }
+};
+
+/// The outcome of a request at one robot.
+struct Outcome {
+    /// The robot. Empty if a stock Zenoh program replied with an error, which does not name it.
+    std::string_view robot;
+    /// Its reply, or the error. The payload is valid as long as the Gathered.
+    expected<PayloadView> reply;
+    /// Whether the robot serves the topic and did not reply.
+    bool is_missing;
+};
+
+/// The outcomes of a request to all robots: first the replies and errors in the order of their arrival, and then an error for each
+/// missing robot. A robot whose programs have several services of the topic has one for each of them.
+///
+///     const auto gathered = rect::must(robot.gather("battery", ""));
+///     for (const auto& outcome : gathered.outcomes()) {
+///         std::cout << outcome.robot << (outcome.reply ? " replied" : outcome.reply.error().text) << std::endl;
+///     }
+class Gathered {
+public:
+    /// Takes ownership of outcomes of rect.h.
+    explicit Gathered(const rect_gathered& raw) : handle_(raw.id) {
+        for (std::size_t i = 0; i < raw.len; ++i) {
+            const auto& item = raw.items[i];
+            const auto reply = item.code == RECT_CODE_OK
+                                   ? expected<PayloadView>(PayloadView(item.payload))
+                                   : unexpected<Error>(Error{static_cast<Code>(item.code), std::string(detail::view(item.error))});
+            outcomes_.push_back({detail::view(item.robot), reply, item.is_missing});
+        }
+    }
+
+    /// Returns the outcomes.
+    [[nodiscard]] const std::vector<Outcome>& outcomes() const noexcept { return outcomes_; }
+
+private:
+    Handle handle_;
+    std::vector<Outcome> outcomes_;
+};
+
+/// A service in the catalogue of a robot.
+struct ServiceEntry {
+    /// The topic.
+    std::string topic;
+    /// The name of the program that serves it; empty if the program has none.
+    std::string program;
+    /// Its purpose, in the words of the program; empty if there are none.
+    std::string about;
+    /// Whether other programs of the robot may serve the same topic. Then each of them answers.
+    bool several;
 };
 
 /// The description of a service, and whether it may have company.
@@ -79,6 +131,21 @@ public:
     /// Returns the time until the sender stops waiting for the reply.
     [[nodiscard]] std::chrono::milliseconds remaining() const noexcept {
         return std::chrono::milliseconds(raw_.remaining_ms);
+    }
+    /// Returns whether the sender still waits for a reply, so that a service can stop when nobody does.
+    ///
+    /// It does not wait after its deadline, or if it has closed the request, or if its program or robot has ended. Except for the
+    /// deadline, this is known within 0.5 s. The end of a program is known if the program has a name, and that of a stock Zenoh program
+    /// never. The first call begins to observe the sender, which sends nothing on the air.
+    [[nodiscard]] bool is_wanted() const noexcept { return rect_request_is_wanted(raw_.id); }
+    /// Sends a reply before the one that the function returns. Robot::request receives the first reply, and Robot::request_stream all of
+    /// them.
+    template <class T>
+    [[nodiscard]] expected<void> reply(const T& value) const {
+        return detail::with_payload(value, [&](const rect_payload& payload) {
+            rect_error error;
+            return detail::ok_or_error(rect_request_reply(raw_.id, &payload, &error), error);
+        });
     }
 
 private:
