@@ -69,7 +69,8 @@ static void on_request(const rect_request *request, void *context) {
     const rect_payload volt = rect_payload_json("{\"volt\":3.6}");
     (void)context;
     must(rect_request_reply(request->id, &volt, &error), "rect_request_reply");
-    check(rect_request_refuse(request->id, &volt, NULL) == RECT_CODE_ARGUMENT, "a refusal after a reply is not sent");
+    must(rect_request_refuse(request->id, &volt, &error), "rect_request_refuse after a reply");
+    check(rect_request_reply(request->id, &volt, NULL) == RECT_CODE_ARGUMENT, "a reply after a refusal is rejected");
 }
 
 static void on_progress(const rect_progress *progress, void *context) { *(uint64_t *)context = progress->received_bytes; }
