@@ -182,10 +182,11 @@ class Replies(Generic[T]):
         return gathered
 
     def leave(self) -> None:
-        """Ignores further replies. If the request has not ended, it is cancelled later, without blocking now."""
+        """Ignores further replies. If there was none, the request is cancelled later, without blocking now."""
         self._queue.close()
         self._session.receive_queues.discard(self._queue)
-        if not self._queue.queue.is_finished:
+        # A request that has a reply ends by itself.
+        if not self._queue.queue.is_finished and not self._inquiry.is_started:
             self._announce_close()
             self._session.abandoned.append(self)
 
