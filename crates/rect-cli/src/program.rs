@@ -2,10 +2,10 @@
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand};
-use rect::{Error, Name, Program, Robot};
+use rect::{Error, Name, Program};
+use rect_dashboard::programs;
 use rect_terminal::{self as terminal, Cell, Style, Table};
 use serde_json::json;
-use tokio::task::JoinSet;
 
 use crate::{
     session::{name, JoinArguments},
@@ -109,7 +109,9 @@ async fn list(arguments: ListArguments, print: impl FnOnce(&[(Name, Vec<Program>
             catalogues.push((robot, programs));
         }
         None => {
-            for (robot, answer) in all(&own).await? {
+            let mut robots = own.peers().await?;
+            robots.push(own.name().clone());
+            for (robot, answer) in programs::query(&own, robots).await {
                 match answer {
                     Ok(programs) => catalogues.push((robot, programs)),
                     // This computer may be no robot.
@@ -128,23 +130,4 @@ async fn list(arguments: ListArguments, print: impl FnOnce(&[(Name, Vec<Program>
         print(&catalogues);
     }
     Ok(ExitCode::SUCCESS)
-}
-
-/// Returns the answers of all robots, ordered by their names.
-async fn all(own: &Robot) -> Result<Vec<(Name, Result<Vec<Program>, Error>)>, Error> {
-    let mut robots = own.peers().await?;
-    robots.push(own.name().clone());
-    robots.sort();
-    robots.dedup();
-    let mut asking = JoinSet::new();
-    for robot in robots {
-        let own = own.clone();
-        asking.spawn(async move {
-            let answer = own.programs(&robot).await;
-            (robot, answer)
-        });
-    }
-    let mut answers = asking.join_all().await;
-    answers.sort_by(|(one, _), (other, _)| one.cmp(other));
-    Ok(answers)
 }

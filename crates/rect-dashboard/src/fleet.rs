@@ -19,7 +19,7 @@ use crate::{
     protocol::{now_ms, RobotState, ShownConnection, State, TimedEvent, TopicRow},
     stop::Stop,
 };
-use crate::{topics, Failure};
+use crate::{programs, topics, Failure};
 
 /// How often the states are sent to browsers.
 const SHOWN_EVERY: Duration = Duration::from_secs(1);
@@ -80,7 +80,7 @@ struct Observer {
     /// The topics of each robot, as its router has last counted them.
     topics: BTreeMap<String, Topics>,
     asking_topics: JoinSet<FoundTopics>,
-    asking_programs: JoinSet<Vec<(Name, Option<Vec<Program>>)>>,
+    asking_programs: JoinSet<Vec<programs::Answer>>,
     ask_programs_at: Instant,
     ask_topics_at: Instant,
     ask_own_topics_at: Instant,
@@ -296,20 +296,13 @@ impl Observer {
             .map(|(name, _)| name.clone())
             .collect();
         let robot = self.robot.clone();
-        self.asking_programs.spawn(async move {
-            let mut found = Vec::new();
-            for name in names {
-                let programs = robot.programs(name.clone()).await.ok();
-                found.push((name, programs));
-            }
-            found
-        });
+        (self.asking_programs).spawn(async move { programs::query(&robot, names).await });
     }
 
-    fn on_programs(&mut self, found: Vec<(Name, Option<Vec<Program>>)>) {
+    fn on_programs(&mut self, found: Vec<programs::Answer>) {
         self.ask_programs_at = Instant::now() + PROGRAMS_EVERY;
         for (name, programs) in found {
-            if let (Some(record), Some(programs)) = (self.records.get_mut(&name), programs) {
+            if let (Some(record), Ok(programs)) = (self.records.get_mut(&name), programs) {
                 record.programs = Some(programs);
             }
         }

@@ -11,6 +11,7 @@ mod login;
 mod outbox;
 pub mod permits;
 pub mod plot;
+pub mod programs;
 mod protocol;
 mod recording;
 mod server;

@@ -9,6 +9,7 @@ use foxglove::{
     FoxgloveError, Schema, WebSocketServerHandle,
 };
 use rect::{Error, Name, Pattern, Payload, Robot, RobotTopic};
+use rect_dashboard::programs;
 use rect_recording::view;
 
 use crate::Failure;
@@ -114,8 +115,8 @@ fn name(service: &RobotTopic) -> String {
 /// Fails if the session is closed.
 pub async fn find(robot: &Robot, robots: impl IntoIterator<Item = Name>) -> Result<Found, Error> {
     let mut found = Vec::new();
-    for name in robots {
-        let programs = match robot.programs(name.clone()).await {
+    for (name, answer) in programs::query(robot, robots).await {
+        let programs = match answer {
             Ok(programs) => programs,
             Err(Error::Closed) => return Err(Error::Closed),
             Err(_) => continue,
