@@ -54,9 +54,10 @@ def test_rust_receives_messages_of_python(routers: Routers) -> None:
 
 def test_python_requests_service_of_rust(routers: Routers) -> None:
     with routers.connect("wombat-1") as robot:
-        with routers.tool("wombat-2", "serve", "echo", "--", "cat"):
+        with routers.tool("wombat-2", "serve", "echo", "--about", "repeats", "--allow-several", "--", "cat"):
             until_served(robot, "wombat-2", "echo")
             assert robot.request("wombat-2", "echo", "hello", timeout=DEADLINE).value == "hello"
+            assert robot.services("wombat-2") == [rect.ServiceEntry("echo", "repeats", True)]
         with routers.tool("wombat-2", "serve", "fail", "--", "sh", "-c", "echo on purpose >&2; exit 1"):
             until_served(robot, "wombat-2", "fail")
             with pytest.raises(rect.ServiceError, match=r"wombat-2 replied with an error: .*on purpose"):

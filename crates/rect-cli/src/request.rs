@@ -2,11 +2,10 @@
 use std::{
     pin::pin,
     process::{ExitCode, Stdio},
-    time::Duration,
 };
 
 use clap::Args;
-use rect::{Encoding, Error, Payload, Reply, Robot, Topic};
+use rect::{Encoding, Payload, Reply, Robot, ServiceOptions, Topic};
 use rect_terminal as terminal;
 use serde_json::json;
 use tokio::{io::AsyncWriteExt, process::Command};
@@ -32,6 +31,12 @@ pub struct RequestArguments {
     /// How long to wait for the reply, or for all replies
     #[arg(long, default_value = "5s")]
     timeout: DurationArgument,
+    /// Repeat the request while the link is interrupted; it is carried out at most once
+    #[arg(long, conflicts_with = "stream")]
+    retry: bool,
+    /// Print all replies of a service that sends several
+    #[arg(long)]
+    stream: bool,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -44,11 +49,18 @@ pub struct RequestArguments {
 /// Provide a service with a program that reads the request from stdin and prints the reply to stdout
 ///
 /// The program is started for each request. The environment variable RECT_SENDER contains the name of the requesting robot.
-/// If the program fails, the reply is an error with the text that it printed to stderr.
+/// If the program fails, the reply is an error with the text that it printed to stderr. The program is stopped when nobody waits for
+/// the reply any more.
 #[derive(Args)]
 pub struct ServeArguments {
     /// The topic of the service, such as battery
     topic: Topic,
+    /// The purpose of the service, for `rect service list` and the dashboard
+    #[arg(long, default_value = "", hide_default_value = true)]
+    about: String,
+    /// Let other programs of this robot serve the same topic, if they allow it, too; each of them replies
+    #[arg(long)]
+    allow_several: bool,
     /// The program and its arguments, such as: -- cat /sys/class/power_supply/BAT0/capacity
     #[arg(required = true, last = true)]
     program: Vec<String>,
@@ -62,40 +74,45 @@ pub async fn request(arguments: RequestArguments) -> Done {
     let robot = arguments.join.join_unnamed().await?;
     let robot = arguments.delivery.apply(&robot)?;
     let timeout = arguments.timeout.0;
+    let (mut robot, topic) = (robot.with_timeout(timeout), &arguments.topic);
     if arguments.robot == "*" {
-        return request_all(&robot, &arguments, payload, timeout).await;
+        if arguments.retry || arguments.stream {
+            return Err("--retry and --stream need the name of a robot".into());
+        }
+        return request_all(&robot, &arguments, payload).await;
     }
     let recipient = name(&arguments.robot)?;
-    let reply = robot
-        .with_timeout(timeout)
-        .request::<Payload>(&recipient, &arguments.topic, payload)
-        .await?;
+    if arguments.stream {
+        let replies = robot.request_stream::<Payload>(&recipient, topic, payload);
+        let replies = replies.await?;
+        while let Some(reply) = replies.next().await {
+            show(&reply?, arguments.json)?;
+        }
+        return Ok(ExitCode::SUCCESS);
+    }
+    if arguments.retry {
+        robot = robot.retrying();
+    }
+    let reply = robot.request::<Payload>(&recipient, topic, payload).await?;
     show(&reply, arguments.json)?;
     Ok(ExitCode::SUCCESS)
 }
 
-async fn request_all(
-    robot: &Robot,
-    arguments: &RequestArguments,
-    payload: Payload,
-    timeout: Duration,
-) -> Done {
-    let replies = robot
-        .with_timeout(timeout)
-        .request_all::<Payload>(&arguments.topic, payload)
-        .await?;
-    let mut answers = 0;
-    while let Some(reply) = replies.next().await {
-        match reply {
+/// Prints the replies, and on standard error why other robots have not replied.
+async fn request_all(robot: &Robot, arguments: &RequestArguments, payload: Payload) -> Done {
+    let replies = robot.request_all::<Payload>(&arguments.topic, payload);
+    let gathered = replies.await?.gather().await?;
+    let mut has_reply = false;
+    for outcome in gathered.outcomes {
+        match outcome.result {
             Ok(reply) => {
-                answers += 1;
+                has_reply = true;
                 show(&reply, arguments.json)?;
             }
-            Err(error @ Error::TimedOut { .. }) if answers == 0 => return Err(error.into()),
             Err(error) => report(&error),
         }
     }
-    if answers == 0 {
+    if !has_reply {
         return Err(format!("no robot replied about {}", arguments.topic).into());
     }
     Ok(ExitCode::SUCCESS)
@@ -124,7 +141,12 @@ pub async fn serve(arguments: ServeArguments) -> Done {
         let program = program.clone();
         async move { answer(&program, &request).await }
     };
-    let _service = robot.serve(&arguments.topic, answer).await?;
+    let options = ServiceOptions {
+        about: arguments.about,
+        allow_several: arguments.allow_several,
+    };
+    let served = robot.serve_with(&arguments.topic, options, answer);
+    let _service = served.await?;
     let (me, topic) = (robot.name(), &arguments.topic);
     rect_terminal::errln!(
         "rect: {me} serves {topic}; test it with `rect request {me} {topic}`; press Ctrl-C to exit"
@@ -163,10 +185,12 @@ async fn answer(program: &[String], request: &rect::Request) -> Result<Payload, 
             () = write_input => output.await,
         }
     };
-    let output = tokio::time::timeout(request.remaining(), run).await;
-    let output = output
-        .map_err(|_| format!("{name} did not finish before the timeout of the request"))?
-        .map_err(failed)?;
+    let output = tokio::select! {
+        output = run => output.map_err(failed)?,
+        () = request.unwanted() => {
+            return Err(format!("{name} did not finish before the timeout of the request"));
+        }
+    };
     if !output.status.success() {
         let text = String::from_utf8_lossy(&output.stderr);
         return Err(format!("{name}: {} {}", output.status, text.trim()));

@@ -212,6 +212,29 @@ fn request_prints_the_reply_or_the_error() {
         (&answer["sender"], &answer["value"]),
         (&"a".into(), &42.0.into())
     );
+    for (robot, option) in [("a", "--retry"), ("a", "--stream"), ("*", "--timeout=20s")] {
+        let answer = ran(&[&["request", robot, "double", "4", option], &join[..]].concat());
+        assert_eq!(text(&answer.stdout), "a: 8.0\n", "{}", text(&answer.stderr));
+    }
+    let refused = ran(&[&["request", "*", "double", "x"], &join[..]].concat());
+    assert_eq!(refused.status.code(), Some(1));
+    assert!(
+        text(&refused.stderr).contains("a replied with an error"),
+        "{}",
+        text(&refused.stderr)
+    );
+    for (options, expected) in [
+        (
+            &["*", "nothing"][..],
+            "no program of the fleet serves nothing",
+        ),
+        (&["*", "double", "--retry"], "need the name of a robot"),
+    ] {
+        let failed = ran(&[&["request"], options, &join[..]].concat());
+        assert_eq!(failed.status.code(), Some(1));
+        let failed = text(&failed.stderr);
+        assert!(failed.contains(expected), "{failed}");
+    }
     let wrong = ran(&[&["request", "a", "double", "x"], &join[..]].concat());
     assert_eq!(wrong.status.code(), Some(1));
     assert!(
