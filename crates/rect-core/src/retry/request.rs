@@ -150,11 +150,8 @@ impl RetriedRequest {
             Err(RegistryError::NoService { .. } | RegistryError::Rejected(_)) => None,
         };
         let serving = programs.map(|programs| {
-            let serves = |program: &catalogue::Program| {
-                let mut services = program.services.iter();
-                services.any(|service| service.topic == *self.inquiry.topic())
-            };
-            let serving = programs.into_iter().filter(serves);
+            let programs = programs.into_iter();
+            let serving = programs.filter(|program| program.serves(self.inquiry.topic()));
             serving.map(|program| program.instance).collect::<Vec<_>>()
         });
         match (self.once_by, serving.as_deref()) {
