@@ -45,9 +45,9 @@ mod _rect {
         decoder::{Decoder, Fetched},
         detached::{forget_work, settle},
         driver::{
-            direct_presence, established_wait, expected_connection, no_service, not_reachable,
-            observer, peer_wait, peers_query, reachable_robots, registry_change, registry_query,
-            router_observer, ConnectionsReport, Driver, Report,
+            direct_presence, established_wait, expected_connection, interrupted, no_service,
+            not_reachable, observer, peer_wait, peers_query, reachable_robots, registry_change,
+            registry_query, router_observer, ConnectionsReport, Driver, Report,
         },
         errors::{forget, on_one_line},
         key_space::{check_encoding, check_name, check_topic, encoding_parts, pattern, KeySpace},

@@ -10,7 +10,7 @@ use rect_core::{
     },
     session::{
         login::LoginRefused,
-        names::{no_service, not_reachable},
+        names::{interrupted, no_service, not_reachable},
         router::WrongRobot,
     },
     stream::options::OptionError,
@@ -108,13 +108,10 @@ pub enum Error {
     /// A service received the request, or may have received it, and no reply followed: the program that serves it, a router or the
     /// link to it ended meanwhile, or the program ended the request without a reply. It may have been carried out; ask the robot
     /// before you repeat a request that must not be carried out twice.
-    #[error(
-        "{robot} did not reply to the request {topic}, which may have been carried out: its program, a router or the link \
-         ended meanwhile. Check before you send it again"
-    )]
+    #[error("{}", interrupted(.robot.as_ref(), .topic))]
     Interrupted {
-        /// The robot that was asked.
-        robot: Name,
+        /// The robot that was asked; `None` if all were, and no catalogue lists the topic any more.
+        robot: Option<Name>,
         /// The topic of the service.
         topic: String,
     },

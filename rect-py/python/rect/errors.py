@@ -136,11 +136,8 @@ class Interrupted(RectError, ConnectionError):
     Ask the robot before you repeat a request that must not be carried out twice.
     """
 
-    def __init__(self, robot: str, topic: str) -> None:
-        super().__init__(
-            f"{robot} did not reply to the request {topic}, which may have been carried out: its program, a "
-            "router or the link ended meanwhile. Check before you send it again"
-        )
+    def __init__(self, robot: str | None, topic: str) -> None:
+        super().__init__(_rect.interrupted(robot, topic))
 
 
 class TimedOut(RectError, TimeoutError):

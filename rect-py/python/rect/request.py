@@ -121,7 +121,7 @@ class Replies(Generic[T]):
     def unanswered(self, peers: Callable[[], list[str]]) -> Interrupted | NoService:
         """Returns why the request ended without a reply, or without all replies of a stream."""
         robot, topic = self.asked
-        if robot is not None and (self._inquiry.is_started or self._served.is_interrupted(self._sent)):
+        if self._inquiry.is_started or self._served.is_interrupted(self._sent):
             return Interrupted(robot, topic)
         return NoService(robot, topic, peers())
 
@@ -144,7 +144,8 @@ class Replies(Generic[T]):
         when this method is called. A missing one has the error `TimedOut`, or `Interrupted` if its program, a router or
         the link ended.
 
-        Raises `NoService` if no program of the fleet serves the topic, and `Closed`.
+        Raises `NoService` if no program of the fleet serves the topic, `Interrupted` or `TimedOut` if one did when the
+        request was sent, and no catalogue lists it any more, and `Closed`.
         """
         return self._gathered(self._serving(), *self._all())
 
@@ -178,7 +179,7 @@ class Replies(Generic[T]):
         topic = self.asked[1]
         gathered = outcomes_of(topic, serving, received, timed_out)
         if not gathered.outcomes:
-            raise NoService(None, topic, self._peers())
+            raise timed_out or self.unanswered(self._peers)
         return gathered
 
     def leave(self) -> None:

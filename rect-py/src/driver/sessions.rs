@@ -34,6 +34,13 @@ pub fn reachable_robots(robot: &str, reachable: Vec<String>) -> PyResult<String>
     Ok(names::reachable_robots(&name(robot)?, &parsed(&reachable)?))
 }
 
+/// Returns the error that a robot, or all robots (`None`), did not reply to the request `topic`, which may have been carried out.
+#[pyfunction]
+pub fn interrupted(robot: Option<&str>, topic: &str) -> PyResult<String> {
+    let robot = robot.map(name).transpose()?;
+    Ok(names::interrupted(robot.as_ref(), topic))
+}
+
 /// Returns the error that no program serves `topic` at a robot, or in the fleet (`None`).
 #[pyfunction]
 pub fn no_service(robot: Option<&str>, topic: &str, reachable: Vec<String>) -> PyResult<String> {

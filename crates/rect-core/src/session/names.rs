@@ -27,6 +27,18 @@ pub fn no_service(robot: Option<&Name>, topic: &str, reachable: &[Name]) -> Stri
     }
 }
 
+/// Returns the error that a robot, or all robots (`None`), did not reply to the request `topic`, which may have been carried out.
+pub fn interrupted(robot: Option<&Name>, topic: &str) -> String {
+    let (nobody, its) = match robot {
+        Some(robot) => (format!("{robot} did not reply"), "its"),
+        None => ("no robot replied".to_owned(), "the"),
+    };
+    format!(
+        "{nobody} to the request {topic}, which may have been carried out: {its} program, a router or the link ended meanwhile. Check \
+         before you send it again"
+    )
+}
+
 /// Returns the description of the problem that a robot, to which a program sends, is not reachable.
 pub fn not_reachable(robot: &Name, reachable: &[Name]) -> String {
     let names = reachable_robots(robot, reachable);

@@ -51,7 +51,8 @@ impl<T: FromPayload> Replies<T> {
     /// ```
     ///
     /// # Errors
-    /// [`Error::NoService`] if no program of the fleet serves the topic, and [`Error::Closed`] if the session is closed.
+    /// [`Error::NoService`] if no program of the fleet serves the topic, [`Error::Interrupted`] or [`Error::TimedOut`] if one did when
+    /// the request was sent, and no catalogue lists it any more, and [`Error::Closed`] if the session is closed.
     ///
     /// # Cancel safety
     /// Dropping the future cancels the request. Services may have received it, and carry it out.
@@ -87,11 +88,14 @@ impl<T: FromPayload> Replies<T> {
                     expected: format!("reply of {robot} about {}", arriving.topic()),
                     timeout: *timeout,
                 },
-                None => arriving.interrupted(robot.clone()),
+                None => arriving.interrupted(Some(robot.clone())),
             }),
         }));
         if outcomes.is_empty() {
-            return Err(arriving.no_service(None).await);
+            return Err(match timed_out {
+                Some((expected, timeout)) => Error::TimedOut { expected, timeout },
+                None => arriving.unanswered().await,
+            });
         }
         Ok(Gathered {
             outcomes,

@@ -368,18 +368,17 @@ impl Arriving {
     }
 
     /// Returns why the request ended without a reply, or without all replies of a stream.
-    async fn unanswered(&self) -> Error {
+    pub(super) async fn unanswered(&self) -> Error {
         let is_started = self.state().inquiry.is_started();
-        match (&self.asked, self.querier.served.unanswered(self.sent)) {
-            (Some(robot), unanswered) if is_started || unanswered == Unanswered::Interrupted => {
-                self.interrupted(robot.clone())
-            }
-            (asked, _) => self.no_service(asked.clone()).await,
+        let unanswered = self.querier.served.unanswered(self.sent);
+        match is_started || unanswered == Unanswered::Interrupted {
+            true => self.interrupted(self.asked.clone()),
+            false => self.no_service(self.asked.clone()).await,
         }
     }
 
-    /// Returns the error that a robot may have carried out the request.
-    pub(super) fn interrupted(&self, robot: Name) -> Error {
+    /// Returns the error that a robot, or one of all (`None`), may have carried out the request.
+    pub(super) fn interrupted(&self, robot: Option<Name>) -> Error {
         Error::Interrupted {
             robot,
             topic: self.topic.to_string(),
@@ -387,7 +386,7 @@ impl Arriving {
     }
 
     /// Returns the error that no program of a robot, or of the fleet (`None`), serves the topic.
-    pub(super) async fn no_service(&self, robot: Option<Name>) -> Error {
+    async fn no_service(&self, robot: Option<Name>) -> Error {
         self.robot.no_service(robot, self.topic.to_string()).await
     }
 

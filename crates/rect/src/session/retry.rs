@@ -66,7 +66,7 @@ impl Robot {
                 left: self.timeout.saturating_sub(began.elapsed()),
             }),
             Outcome::Interrupted => Err(Error::Interrupted {
-                robot: robot.clone(),
+                robot: Some(robot.clone()),
                 topic: topic.to_string(),
             }),
             Outcome::Closed => Err(Error::Closed),
