@@ -56,6 +56,14 @@ class Routers:
             self.room.restore()
             wait_for_link(one, two)
 
+    def restart(self, name: str) -> None:
+        """Kills the router of a robot, starts it again, and waits for the link."""
+        from room import wait_for_link  # type: ignore[import-not-found, unused-ignore]
+
+        self.robots[name].kill()
+        self.robots[name].start()
+        wait_for_link(*self.robots.values())
+
     @contextmanager
     def tool(self, robot: str, *arguments: str) -> Iterator[Tool]:
         """Runs the `rect` command at the router of a robot."""
