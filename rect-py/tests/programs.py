@@ -115,8 +115,9 @@ class Tool:
 
 
 @contextmanager
-def linked_routers(folder: Path) -> Iterator[Routers]:
-    """Starts the routers, whose connections files are in `folder`, and yields them."""
+def linked_routers(folder: Path, *air_options: str) -> Iterator[Routers]:
+    """Starts the routers, whose connections files are in `folder`, and yields them. `air_options` are those of
+    `rect air serve`."""
     files = {name: folder / f"{name}.json" for name in ("wombat-1", "wombat-2")}
     for file in files.values():
         file.write_text('{"connections": []}')
@@ -125,7 +126,7 @@ def linked_routers(folder: Path) -> Iterator[Routers]:
     from robots import rect_settings  # type: ignore[import-not-found, unused-ignore]
     from room import Room, wait_for_link  # type: ignore[import-not-found, unused-ignore]
 
-    with Room("desk") as room:
+    with Room("desk", *air_options) as room:
         one, two = (
             room.add_robot(name, arguments=tuple(rect_settings({"robot": name, "connections": str(file)})))
             for name, file in files.items()
