@@ -1026,8 +1026,9 @@ enum rect_code rect_robot_on_event(struct rect_robot robot,
 // The robots that serve the topic are those whose catalogue lists it. A missing one has `RECT_CODE_TIMED_OUT`, or
 // `RECT_CODE_INTERRUPTED` if its program, a router or the link ended.
 //
-// Returns `RECT_CODE_NO_SERVICE` if no program of the fleet serves the topic, and `RECT_CODE_INTERRUPTED` or `RECT_CODE_TIMED_OUT` if one
-// did when the request was sent, and no catalogue lists it any more. May be called on any thread.
+// Returns `RECT_CODE_NO_SERVICE` if no program of the fleet serves the topic; `RECT_CODE_INTERRUPTED` if nobody replied and a program has
+// begun, ended or changed its services meanwhile, so that one may have carried the request out; and `RECT_CODE_TIMED_OUT` if nobody has
+// replied in time that a catalogue lists. May be called on any thread.
 enum rect_code rect_robot_gather(struct rect_robot robot,
                                  const char *topic,
                                  const struct rect_payload *payload,

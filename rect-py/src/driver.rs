@@ -4,7 +4,7 @@ mod report;
 mod sessions;
 mod step;
 
-pub use fields::{ConnectionsReport, ToPython};
+pub use fields::{ConnectionsReport, Servers, ToPython};
 pub use report::{bytes_of, Report};
 pub use sessions::{
     direct_presence, established_wait, expected_connection, interrupted, no_service, not_reachable,

@@ -47,7 +47,7 @@ mod _rect {
         driver::{
             direct_presence, established_wait, expected_connection, interrupted, no_service,
             not_reachable, observer, peer_wait, peers_query, reachable_robots, registry_change,
-            registry_query, router_observer, ConnectionsReport, Driver, Report,
+            registry_query, router_observer, ConnectionsReport, Driver, Report, Servers,
         },
         errors::{forget, on_one_line},
         key_space::{check_encoding, check_name, check_topic, encoding_parts, pattern, KeySpace},

@@ -110,7 +110,7 @@ pub enum Error {
     /// before you repeat a request that must not be carried out twice.
     #[error("{}", interrupted(.robot.as_ref(), .topic))]
     Interrupted {
-        /// The robot that was asked; `None` if all were, and no catalogue lists the topic any more.
+        /// The robot that was asked; `None` if all were, and none replied.
         robot: Option<Name>,
         /// The topic of the service.
         topic: String,

@@ -239,8 +239,9 @@ public:
     /// Sends a request to the service `topic` of every robot that offers it, waits until all have replied or `timeout` has passed, and
     /// returns the outcome of each robot. An error of one robot does not end the wait. The robots that offer it are those whose
     /// catalogue lists it. A missing one has Code::timed_out, or Code::interrupted if its program, a router or the link ended. Fails with
-    /// Code::no_service if no program of the fleet serves the topic, and with Code::interrupted or Code::timed_out if one did when the
-    /// request was sent, and no catalogue lists it any more.
+    /// Code::no_service if no program of the fleet serves the topic; with Code::interrupted if nobody replied and a program has begun,
+    /// ended or changed its services meanwhile, so that one may have carried the request out; and with Code::timed_out if nobody has
+    /// replied in time that a catalogue lists.
     template <class T>
     [[nodiscard]] expected<Gathered> gather(const Text& topic, const T& value, Milliseconds timeout = default_timeout) const {
         rect_gathered gathered{};

@@ -157,11 +157,13 @@ def peers(session: Session) -> list[str]:
     return names
 
 
-def servers(session: Session, topic: str) -> set[str]:
-    """Returns the names of the robots whose catalogue lists the topic."""
-    names: list[str] | None = Executor(session, session.catalogues.servers(session.key_space, topic)).run()
+def servers(session: Session, topic: str) -> _rect.Servers:
+    """Returns the robots whose catalogue lists the topic. Raises `Closed`."""
+    found: _rect.Servers | None = Executor(session, session.catalogues.servers(session.key_space, topic)).run()
     session.check()
-    return set(names or ())
+    if found is None:
+        raise session.closed_error()
+    return found
 
 
 def wait(session: Session, driver: _rect.Driver, expected: Callable[[], str], timeout: float) -> None:

@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from rect.session import Session
 
 
+#: Time within which the tokens of a program end after its queries, in seconds.
+_UNTIL_TOKENS_END_S = 0.25
+
+
 class Replies(Generic[T]):
     """Iterates over the replies to one request. Returned by `Robot.request_all` and `Robot.request_stream`.
 
@@ -144,8 +148,9 @@ class Replies(Generic[T]):
         when this method is called. A missing one has the error `TimedOut`, or `Interrupted` if its program, a router or
         the link ended.
 
-        Raises `NoService` if no program of the fleet serves the topic, `Interrupted` or `TimedOut` if one did when the
-        request was sent, and no catalogue lists it any more, and `Closed`.
+        Raises `NoService` if no program of the fleet serves the topic, `Interrupted` if nobody replied and a program
+        has begun, ended or changed its services meanwhile, so that one may have carried the request out, `TimedOut` if
+        nobody has replied in time that a catalogue lists, and `Closed`.
         """
         return self._gathered(self._serving(), *self._all())
 
@@ -171,16 +176,22 @@ class Replies(Generic[T]):
             return received, error
         return received, None
 
-    def _serving(self) -> set[str]:
+    def _serving(self) -> _rect.Servers:
         """Returns the robots whose catalogue lists the topic. The replies wait meanwhile."""
         return registry.servers(self._session, self.asked[1])
 
-    def _gathered(self, serving: set[str], received: list[Received[T]], timed_out: TimedOut | None) -> Gathered[T]:
+    def _gathered(self, serving: _rect.Servers, received: list[Received[T]], timed_out: TimedOut | None) -> Gathered[T]:
         topic = self.asked[1]
-        gathered = outcomes_of(topic, serving, received, timed_out)
-        if not gathered.outcomes:
-            raise timed_out or self.unanswered(self._peers)
-        return gathered
+        gathered = outcomes_of(topic, set(serving.robots), received, timed_out)
+        if gathered.outcomes:
+            return gathered
+        if timed_out is not None:
+            raise timed_out
+        # A program that served the topic may have ended, whose token ends a moment later.
+        time.sleep(_UNTIL_TOKENS_END_S)
+        if self._serving() == serving:
+            raise NoService(None, topic, self._peers())
+        raise Interrupted(None, topic)
 
     def leave(self) -> None:
         """Ignores further replies. If there was none, the request is cancelled later, without blocking now."""

@@ -1,5 +1,5 @@
 //! Converts the items and outputs of drivers to Python objects.
-use std::{collections::BTreeSet, convert::Infallible};
+use std::convert::Infallible;
 
 use bytes::Bytes;
 use pyo3::{
@@ -15,7 +15,7 @@ use rect_core::{
     name::Name,
     registry::{
         connection::{Connection, Event},
-        RegistryError,
+        servers_query, RegistryError,
     },
     session::peers::Waited,
     stream::frame::ReceivedFrame,
@@ -81,10 +81,23 @@ impl ToPython for Vec<Name> {
     }
 }
 
-impl ToPython for Option<BTreeSet<Name>> {
+/// The robots that serve a topic. Two answers are equal if no program has begun, ended or changed its services between them.
+#[pyclass(frozen, eq, module = "rect._rect")]
+#[derive(PartialEq)]
+pub struct Servers(servers_query::Servers);
+
+#[pymethods]
+impl Servers {
+    /// Names of the robots.
+    #[getter]
+    fn robots(&self) -> Vec<String> {
+        self.0.robots.iter().map(ToString::to_string).collect()
+    }
+}
+
+impl ToPython for Option<servers_query::Servers> {
     fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
-        let names = self.map(|names| names.into_iter().collect::<Vec<Name>>());
-        names.map_or_else(|| Ok(py.None()), |names| names.to_python(py))
+        self.map(Servers).into_py_any(py)
     }
 }
 

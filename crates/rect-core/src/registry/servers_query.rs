@@ -24,16 +24,25 @@ const TOKENS: Id = Id(0);
 /// The id of the question to the first robot; the next ones follow.
 const FIRST: u64 = 1;
 
-/// The question to all robots. Finishes with those that serve the topic, in alphabetical order; a robot whose catalogue does not arrive
-/// within 2 s is not among them.
+/// The programs of all robots, by the names of the robots.
+type Programs = BTreeMap<Name, Revisions>;
+
+/// The robots that serve a topic. Two answers are equal if no program has begun, ended or changed its services between them.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Servers {
+    /// The robots whose catalogue lists the topic. One whose catalogue does not arrive within 2 s is not among them.
+    pub robots: BTreeSet<Name>,
+    programs: Programs,
+}
+
+/// The question to all robots.
 #[derive(Debug)]
 pub struct ServersQuery {
     kept: Catalogues,
     place: KeySpace,
     topic: Topic,
-    robots: BTreeMap<Name, Revisions>,
+    found: Servers,
     state: State,
-    serving: BTreeSet<Name>,
 }
 
 #[derive(Debug)]
@@ -52,9 +61,8 @@ impl Catalogues {
             kept: self.clone(),
             place,
             topic,
-            robots: BTreeMap::new(),
+            found: Servers::default(),
             state: State::AskTokens,
-            serving: BTreeSet::new(),
         }
     }
 }
@@ -64,10 +72,11 @@ impl ServersQuery {
         let Some(token) = Token::parse(&self.place, key) else {
             return;
         };
-        if self.robots.len() >= MAX_ROBOTS && !self.robots.contains_key(&token.robot) {
+        let programs = &mut self.found.programs;
+        if programs.len() >= MAX_ROBOTS && !programs.contains_key(&token.robot) {
             return;
         }
-        let revisions = self.robots.entry(token.robot).or_default();
+        let revisions = programs.entry(token.robot).or_default();
         if revisions.len() < 2 * MAX_PROGRAMS {
             revisions.insert((token.instance, token.revision));
         }
@@ -76,12 +85,13 @@ impl ServersQuery {
     /// Reads the catalogues that are kept. Returns the robots to ask.
     fn unread(&mut self) -> Vec<Name> {
         let mut unread = Vec::new();
-        for (robot, revisions) in &self.robots {
+        let Servers { robots, programs } = &mut self.found;
+        for (robot, revisions) in programs.iter() {
             // The own router answers without bytes on the air, and before the revision is announced.
             let kept = (*robot != self.place.robot).then(|| self.kept.get(robot, revisions));
             match kept.flatten() {
                 Some(catalogue) if serves(&catalogue, &self.topic) => {
-                    self.serving.insert(robot.clone());
+                    robots.insert(robot.clone());
                 }
                 Some(_) => {}
                 None => unread.push(robot.clone()),
@@ -92,10 +102,10 @@ impl ServersQuery {
 
     fn on_catalogue(&mut self, robot: &Name, catalogue: &Payload) {
         if serves(catalogue, &self.topic) {
-            self.serving.insert(robot.clone());
+            self.found.robots.insert(robot.clone());
         }
-        let revisions = self.robots.remove(robot).unwrap_or_default();
-        self.kept.keep(robot, revisions, catalogue);
+        let revisions = self.found.programs.get(robot).cloned();
+        (self.kept).keep(robot, revisions.unwrap_or_default(), catalogue);
     }
 }
 
@@ -108,7 +118,7 @@ fn serves(catalogue: &Payload, topic: &Topic) -> bool {
 impl Driver for ServersQuery {
     type Item = std::convert::Infallible;
     /// `None`: the session was closed.
-    type Output = Option<BTreeSet<Name>>;
+    type Output = Option<Servers>;
 
     fn on_event(&mut self, _now: Instant, event: Event) -> Reaction<Self::Item> {
         match (&mut self.state, event) {
@@ -148,7 +158,7 @@ impl Driver for ServersQuery {
             State::Asking(unread, asked, next) => {
                 let Some(robot) = unread.pop() else {
                     return match asked.is_empty() {
-                        true => Step::Finished(Some(std::mem::take(&mut self.serving))),
+                        true => Step::Finished(Some(std::mem::take(&mut self.found))),
                         false => Step::Wait(None),
                     };
                 };
@@ -192,7 +202,7 @@ mod tests {
             let (id, get) = match query.poll(now) {
                 Step::Act(Action::Get { id, get }) => (id, get),
                 Step::Finished(found) => {
-                    let found = found.expect("open session");
+                    let found = found.expect("open session").robots;
                     return (found.iter().map(ToString::to_string).collect(), asked);
                 }
                 step => panic!("{step:?}"),

@@ -24,6 +24,9 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(1);
 /// The time for which the run of the program may be missing in the catalogue, while no other one serves the topic: after a restart of the
 /// robot's router its programs register again.
 const MISSING: Duration = Duration::from_secs(3);
+/// How long a query may have no reply before the request is sent again. It doubles. A query that a router forwards when a program ends may
+/// never end (tests/upstream/unfinished_query.py).
+const RESEND_AFTER: Duration = Duration::from_secs(3);
 /// The ids of the queries of one step begin at its number times this. A query of an earlier step may end late.
 const IDS_OF_STEP: u64 = 1000;
 
@@ -40,6 +43,7 @@ pub struct RetriedRequest {
     once_by: Option<Instance>,
     missing_since: Option<Instant>,
     pause: Duration,
+    resend_after: Duration,
     /// The number of the step, for the ids of its queries.
     step: u64,
     state: State,
@@ -54,7 +58,8 @@ enum State {
     },
     /// Sends the request to that run of the program next.
     Ready(Instance),
-    Asking,
+    /// Waits for the reply, until this time.
+    Asking(Instant),
     /// Waits before it sends the request to that run of the program again, or else (`None`) looks up the program again.
     Pausing {
         until: Instant,
@@ -108,6 +113,7 @@ impl RetriedRequest {
             once_by: None,
             missing_since: None,
             pause: PAUSE,
+            resend_after: RESEND_AFTER,
             step: 0,
             state: State::LookingUp {
                 query,
@@ -224,12 +230,12 @@ impl Driver for RetriedRequest {
         };
         match (&mut self.state, event) {
             (State::LookingUp { query, .. }, event) => return query.on_event(now, event),
-            (State::Asking, Event::Reply { reply, .. }) => {
+            (State::Asking(_), Event::Reply { reply, .. }) => {
                 if let Some(kind) = self.inquiry.on_reply(reply) {
                     self.on_reply(kind);
                 }
             }
-            (State::Asking, Event::Ended { .. }) => self.look_up(true),
+            (State::Asking(_), Event::Ended { .. }) => self.look_up(true),
             _ => return Reaction::NONE,
         }
         Reaction::POLL
@@ -261,13 +267,17 @@ impl Driver for RetriedRequest {
                 State::Ready(once_by) => {
                     let once_by = *once_by;
                     self.step += 1;
-                    self.state = State::Asking;
+                    self.state = State::Asking(now + self.resend_after);
+                    self.resend_after *= 2;
                     let (id, left) = (Id(self.first_id()), self.deadline - now);
                     let (payload, urgency) = (self.payload.clone(), self.urgency);
                     let get = self.inquiry.get_once(once_by, left, payload, urgency);
                     return Step::Act(Action::Get { id, get });
                 }
-                State::Asking => return Step::Wait(Some(self.deadline)),
+                State::Asking(until) if now < *until => {
+                    return Step::Wait(Some((*until).min(self.deadline)));
+                }
+                State::Asking(_) => self.look_up(true),
                 State::Pausing { until, .. } if now < *until => {
                     return Step::Wait(Some((*until).min(self.deadline)));
                 }

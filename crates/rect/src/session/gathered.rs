@@ -1,14 +1,22 @@
 //! Waits for the replies of all robots that serve a topic, and names those that did not reply.
-use std::collections::BTreeSet;
+use std::{collections::BTreeSet, future::Future, time::Duration};
 
-use rect_core::{message::payload::FromPayload, name::Name};
+use rect_core::{
+    message::payload::FromPayload,
+    name::{topic::Topic, Name},
+    registry::servers_query::Servers,
+};
 
 use super::{
     executor::Executor,
     request::{Replies, Reply},
+    robot::Robot,
     shared::NoItems,
 };
 use crate::error::Error;
+
+/// The time within which the tokens of a program end after its queries.
+const UNTIL_TOKENS_END: Duration = Duration::from_millis(250);
 
 /// The outcomes of a request to all robots; created by [`Replies::gather`].
 #[derive(Debug)]
@@ -31,6 +39,24 @@ pub struct Outcome<T = ()> {
     pub result: Result<Reply<T>, Error>,
 }
 
+impl Robot {
+    /// Asks which robots serve a topic.
+    fn servers(
+        &self,
+        topic: &Topic,
+    ) -> impl Future<Output = Result<Servers, Error>> + Send + 'static {
+        let inner = self.inner.clone();
+        let query = (inner.catalogues).servers(inner.place.clone(), topic.clone());
+        async move {
+            let found = Executor::new(&inner.session, query, NoItems).run().await?;
+            match found.filter(|_| !inner.session.is_closed()) {
+                Some(servers) => Ok(servers),
+                None => Err(Error::Closed),
+            }
+        }
+    }
+}
+
 impl<T: FromPayload> Replies<T> {
     /// Waits until all robots have replied that serve the topic, or the time is up, and returns the outcome of each of them. An error
     /// of one robot does not end the wait.
@@ -51,18 +77,19 @@ impl<T: FromPayload> Replies<T> {
     /// ```
     ///
     /// # Errors
-    /// [`Error::NoService`] if no program of the fleet serves the topic, [`Error::Interrupted`] or [`Error::TimedOut`] if one did when
-    /// the request was sent, and no catalogue lists it any more, and [`Error::Closed`] if the session is closed.
+    /// [`Error::NoService`] if no program of the fleet serves the topic; [`Error::Interrupted`] if nobody replied and a program has begun,
+    /// ended or changed its services meanwhile, so that one may have carried the request out; [`Error::TimedOut`] if nobody has
+    /// replied in time that a catalogue lists; and [`Error::Closed`] if the session is closed.
     ///
     /// # Cancel safety
     /// Dropping the future cancels the request. Services may have received it, and carry it out.
     pub async fn gather(self) -> Result<Gathered<T::Value>, Error> {
         let arriving = &self.arriving;
         let inner = &arriving.robot.inner;
-        let query = (inner.catalogues).servers(inner.place.clone(), arriving.topic().clone());
-        let executor = Executor::new(&inner.session, query, NoItems);
         // The replies arrive meanwhile.
-        let asked = inner.runtime.spawn(executor.run());
+        let asked = inner
+            .runtime
+            .spawn(arriving.robot.servers(arriving.topic()));
         let (mut outcomes, mut replied) = (Vec::new(), BTreeSet::new());
         let mut timed_out = None;
         while let Some((robot, result)) = arriving.received::<T>().await {
@@ -75,10 +102,7 @@ impl<T: FromPayload> Replies<T> {
             }
         }
         let serving = asked.await.map_err(|_| Error::Closed)??;
-        let mut expected = serving.ok_or(Error::Closed)?;
-        if inner.session.is_closed() {
-            return Err(Error::Closed);
-        }
+        let mut expected = serving.robots.clone();
         let missing: BTreeSet<_> = expected.difference(&replied).cloned().collect();
         expected.extend(replied);
         outcomes.extend(missing.iter().map(|robot| Outcome {
@@ -92,9 +116,15 @@ impl<T: FromPayload> Replies<T> {
             }),
         }));
         if outcomes.is_empty() {
-            return Err(match timed_out {
-                Some((expected, timeout)) => Error::TimedOut { expected, timeout },
-                None => arriving.unanswered().await,
+            if let Some((expected, timeout)) = timed_out {
+                return Err(Error::TimedOut { expected, timeout });
+            }
+            // A program that served the topic may have ended, whose token ends a moment later.
+            tokio::time::sleep(UNTIL_TOKENS_END).await;
+            let now = arriving.robot.servers(arriving.topic()).await?;
+            return Err(match now == serving {
+                true => arriving.no_service(None).await,
+                false => arriving.interrupted(None),
             });
         }
         Ok(Gathered {

@@ -368,7 +368,7 @@ impl Arriving {
     }
 
     /// Returns why the request ended without a reply, or without all replies of a stream.
-    pub(super) async fn unanswered(&self) -> Error {
+    async fn unanswered(&self) -> Error {
         let is_started = self.state().inquiry.is_started();
         let unanswered = self.querier.served.unanswered(self.sent);
         match is_started || unanswered == Unanswered::Interrupted {
@@ -386,7 +386,7 @@ impl Arriving {
     }
 
     /// Returns the error that no program of a robot, or of the fleet (`None`), serves the topic.
-    async fn no_service(&self, robot: Option<Name>) -> Error {
+    pub(super) async fn no_service(&self, robot: Option<Name>) -> Error {
         self.robot.no_service(robot, self.topic.to_string()).await
     }
 
