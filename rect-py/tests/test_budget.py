@@ -21,9 +21,10 @@ ROBOTS, SERVICES = 15, 10
 NAMES = ["arm", "camera", "drive", "gripper"]
 #: The payload of the link-layer packets in bytes: with 27, the air carries 34 kB/s.
 PDU = "27"
-#: The upper limits by the number of services of each program: the bytes of a link-up, and the delay of an urgent message
-#: in seconds on a computer that is busy; otherwise it is half as long. A link carries the declarations of its routers
-#: before everything else. A service has no token, but a queryable of about 45 bytes, and 600 of them take 0.8 s.
+#: The upper limits by the number of services of each program: the bytes of a link-up, and the delay of an urgent
+#: message in seconds on a computer that is busy; otherwise it is half as long. A link carries the declarations of its
+#: routers before everything else. A service has no token, but a queryable of about 45 bytes, and 600 of them take
+#: 0.8 s.
 BYTES, URGENT = {0: 13_000, SERVICES: 42_000}, {0: 0.6, SERVICES: 2.5}
 #: The upper limit of the time of the list, in seconds.
 LIST = 2.0
