@@ -33,7 +33,8 @@ pub fn announcement(place: &KeySpace, robot: Option<&Name>, topic: &Topic, id: R
 /// Returns the topic and the query that passes an announcement to the services of the robot of `place`. `None` if the payload of a
 /// query to the catalogue is something else.
 pub fn passed_on(place: &KeySpace, payload: &[u8]) -> Option<(Topic, Get)> {
-    let mut words = std::str::from_utf8(payload).ok()?.split(' ');
+    // A topic may contain spaces.
+    let mut words = std::str::from_utf8(payload).ok()?.splitn(3, ' ');
     let (CLOSED, id, topic) = (words.next()?, words.next()?, words.next()?) else {
         return None;
     };
@@ -43,7 +44,7 @@ pub fn passed_on(place: &KeySpace, payload: &[u8]) -> Option<(Topic, Get)> {
         target: Target::All,
         ..Get::new(format!("{}?{closed}", place.publication(&topic)), TIMEOUT)
     };
-    words.next().is_none().then_some((topic, get))
+    Some((topic, get))
 }
 
 #[cfg(test)]
@@ -65,18 +66,21 @@ mod tests {
             run: Instance(0x1f),
             number: 7,
         };
-        let topic = Topic::new("grab").expect("valid topic");
-        let get = announcement(&place("wombat-1"), None, &topic, id);
-        assert_eq!(get.selector, "rect/*/@rect/catalogue");
-        let payload = get.payload.expect("a payload");
-        let passed = passed_on(&place("wombat-2"), &payload.bytes).expect("an announcement");
-        assert_eq!(passed.1.selector, "rect/wombat-2/grab?@closed=0000001f/7");
+        for text in ["grab", "arm/left grab"] {
+            let topic = Topic::new(text).expect("valid topic");
+            let get = announcement(&place("wombat-1"), None, &topic, id);
+            assert_eq!(get.selector, "rect/*/@rect/catalogue");
+            let payload = get.payload.expect("a payload");
+            let passed = passed_on(&place("wombat-2"), &payload.bytes).expect("an announcement");
+            let selector = format!("rect/wombat-2/{text}?@closed=0000001f/7");
+            assert_eq!((passed.0, passed.1.selector), (topic, selector));
+        }
         for wrong in [
             "",
             "closed",
             "closed 0000001f/7",
             "closed 1/7 grab",
-            "closed 0000001f/7 a b",
+            "closed 0000001f/7 a//b",
         ] {
             assert_eq!(
                 passed_on(&place("wombat-2"), wrong.as_bytes()),
