@@ -124,6 +124,8 @@ def in_rust(robot: rect.Robot, value: str) -> None:
         raise rect.NoService("wombat-1", "grab", [])
     if "may have been carried out" in done.stderr:
         raise rect.Interrupted("wombat-1", "grab")
+    if "no reply about grab within" in done.stderr:
+        raise rect.TimedOut("reply about grab", TIMEOUT)
     assert done.returncode == 0 and value in done.stdout, done
 
 
