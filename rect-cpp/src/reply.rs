@@ -67,6 +67,25 @@ impl PendingReplies {
     }
 }
 
+/// Reads the arguments of a request to one robot.
+///
+/// # Safety
+/// The pointers follow the rules of rect.h.
+unsafe fn read<'a>(
+    recipient: *const c_char,
+    topic: *const c_char,
+    payload: Option<&PayloadView>,
+) -> Result<(&'a str, &'a str, rect::Payload), Failure> {
+    // SAFETY: guaranteed by this function's caller.
+    unsafe {
+        Ok((
+            text("recipient", recipient)?,
+            text("topic", topic)?,
+            require("payload", payload)?.read()?,
+        ))
+    }
+}
+
 fn replies_into_c(program: &Program, replies: rect::Replies) -> Replies {
     let id = handle::insert(PendingReplies {
         replies,
@@ -118,13 +137,7 @@ pub unsafe extern "C" fn rect_robot_request(
     call(error, || {
         require_out("reply", &reply)?;
         // SAFETY: the caller follows the rules of rect.h.
-        let (recipient, topic, payload) = unsafe {
-            (
-                text("recipient", recipient)?,
-                text("topic", topic)?,
-                require("payload", payload)?.read()?,
-            )
-        };
+        let (recipient, topic, payload) = unsafe { read(recipient, topic, payload) }?;
         let (program, timeout) = (robot.resolve()?, Duration::from_millis(timeout_ms.into()));
         let first = program.wait(
             program
@@ -184,13 +197,7 @@ pub unsafe extern "C" fn rect_robot_request_stream(
     call(error, || {
         require_out("replies", &replies)?;
         // SAFETY: the caller follows the rules of rect.h.
-        let (recipient, topic, payload) = unsafe {
-            (
-                text("recipient", recipient)?,
-                text("topic", topic)?,
-                require("payload", payload)?.read()?,
-            )
-        };
+        let (recipient, topic, payload) = unsafe { read(recipient, topic, payload) }?;
         let (program, timeout) = (robot.resolve()?, Duration::from_millis(timeout_ms.into()));
         let patient = program.robot.with_timeout(timeout);
         let incoming = program.wait(patient.request_stream(recipient, topic, payload))?;

@@ -54,10 +54,15 @@ impl Catalogues {
         Ok(Driver::new(query, &Clock::new()))
     }
 
-    /// Creates the question which robots serve a topic.
-    fn servers(&self, key_space: &KeySpace, topic: &str) -> PyResult<Driver> {
-        let query = self.0.servers(key_space.0.clone(), self::topic(topic)?);
-        Ok(Driver::new(query, &Clock::new()))
+    /// Creates the question which robots serve a topic. `has_ended`: it is asked a moment later, because a request has just ended.
+    fn servers(&self, key_space: &KeySpace, topic: &str, has_ended: bool) -> PyResult<Driver> {
+        let (clock, topic) = (Clock::new(), self::topic(topic)?);
+        let query = self.0.servers(key_space.0.clone(), topic);
+        let query = match has_ended {
+            true => query.after_end(clock.created_at()),
+            false => query,
+        };
+        Ok(Driver::new(query, &clock))
     }
 }
 

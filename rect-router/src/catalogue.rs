@@ -12,7 +12,6 @@ use rect_core::{
         token::{tokens, Token},
         Instance, Program, CATALOGUE, REGISTER,
     },
-    driver::Get,
     name::{key::KeySpace, topic::Topic},
     session::{
         requester_end,
@@ -75,25 +74,24 @@ pub fn serve(session: &Session, place: &KeySpace) -> zenoh::Result<()> {
     let (passing, at) = (session.clone(), place.clone());
     let on_query = move |query: Query| {
         let payload = query.payload().map(ZBytes::to_bytes).unwrap_or_default();
-        if let Some((topic, get)) = requester_end::passed_on(&at, &payload) {
-            let programs = keeper.lock().programs(Instant::now());
-            if programs.iter().any(|program| program.serves(&topic)) {
-                pass_on(&passing, get);
-            }
-            return;
-        }
         let programs = keeper.lock().programs(Instant::now());
-        reply::reply(&query, &key_of_answer, Ok(programs));
+        match requester_end::passed_on(&at, &payload) {
+            Some((topic, get)) if programs.iter().any(|program| program.serves(&topic)) => {
+                notify(&passing, get.selector, get.timeout);
+            }
+            Some(_) => {}
+            None => reply::reply(&query, &key_of_answer, Ok(programs)),
+        }
     };
     let queryable = session.declare_queryable(key).callback(on_query);
     queryable.background().wait()
 }
 
-/// Passes the announcement that a requester has closed its request to the services of the topic.
-fn pass_on(session: &Session, get: Get) {
-    let passed = session.get(get.selector).target(QueryTarget::AllComplete);
-    if let Err(error) = passed.timeout(get.timeout).callback(drop).wait() {
-        tracing::debug!("cannot pass on that a requester has closed its request: {error}");
+/// Sends a notice to the services of a topic, which do not reply. It may wait that long for a program that does not answer.
+fn notify(session: &Session, notice: String, timeout: Duration) {
+    let sent = session.get(&notice).target(QueryTarget::AllComplete);
+    if let Err(error) = sent.timeout(timeout).callback(drop).wait() {
+        tracing::debug!("cannot send the notice {notice}: {error}");
     }
 }
 
@@ -165,11 +163,7 @@ impl Registrar {
     /// Notifies a program that another one serves its topic. A program that is stopped reads it when it continues.
     fn end_service(&self, topic: &Topic, of: Instance) {
         let notice = format!("{}?{}", self.place.publication(topic), taken_over(of));
-        let notice = self.session.get(notice).timeout(TAKEN_OVER_TIMEOUT);
-        let notice = notice.target(QueryTarget::AllComplete).callback(drop);
-        if let Err(error) = notice.wait() {
-            tracing::debug!("cannot notify a program that its service has ended: {error}");
-        }
+        notify(&self.session, notice, TAKEN_OVER_TIMEOUT);
     }
 
     /// Asks the program that serves a topic whether it still answers.

@@ -157,9 +157,13 @@ def peers(session: Session) -> list[str]:
     return names
 
 
-def servers(session: Session, topic: str) -> _rect.Servers:
-    """Returns the robots whose catalogue lists the topic. Raises `Closed`."""
-    found: _rect.Servers | None = Executor(session, session.catalogues.servers(session.key_space, topic)).run()
+def servers(session: Session, topic: str, has_ended: bool = False) -> _rect.Servers:
+    """Returns the robots whose catalogue lists the topic. Raises `Closed`.
+
+    `has_ended`: they are asked a moment later, because a request has just ended.
+    """
+    query = session.catalogues.servers(session.key_space, topic, has_ended)
+    found: _rect.Servers | None = Executor(session, query).run()
     session.check()
     if found is None:
         raise session.closed_error()

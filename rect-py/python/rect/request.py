@@ -23,10 +23,6 @@ if TYPE_CHECKING:
     from rect.session import Session
 
 
-#: Time within which the tokens of a program end after its queries, in seconds.
-_UNTIL_TOKENS_END_S = 0.25
-
-
 class Replies(Generic[T]):
     """Iterates over the replies to one request. Returned by `Robot.request_all` and `Robot.request_stream`.
 
@@ -99,11 +95,9 @@ class Replies(Generic[T]):
         while True:
             try:
                 arrived = self._queue.pop(self._remaining())
-            except Ended:
-                self._check_closed()
+            except (Ended, TimeoutError) as end:
+                self._on_end(end)
                 return None
-            except TimeoutError:
-                raise self.timed_out() from None
             received = self._received(arrived)
             if received is not None:
                 return received
@@ -113,11 +107,9 @@ class Replies(Generic[T]):
         while True:
             try:
                 arrived = await self._queue.pop_async(self._remaining())
-            except Ended:
-                self._check_closed()
+            except (Ended, TimeoutError) as end:
+                self._on_end(end)
                 return None
-            except TimeoutError:
-                raise self.timed_out() from None
             received = self._received(arrived)
             if received is not None:
                 return received
@@ -188,8 +180,7 @@ class Replies(Generic[T]):
         if timed_out is not None:
             raise timed_out
         # A program that served the topic may have ended, whose token ends a moment later.
-        time.sleep(_UNTIL_TOKENS_END_S)
-        if self._serving() == serving:
+        if registry.servers(self._session, topic, has_ended=True) == serving:
             raise NoService(None, topic, self._peers())
         raise Interrupted(None, topic)
 
@@ -237,9 +228,12 @@ class Replies(Generic[T]):
     def _remaining(self) -> float:
         return max(self._deadline - time.monotonic(), 0)
 
-    def _check_closed(self) -> None:
+    def _on_end(self, end: Exception) -> None:
+        """Handles that no reply follows. Raises `TimedOut` and `Closed`."""
+        if isinstance(end, TimeoutError):
+            raise self.timed_out() from None
         if self._session.is_closed:
-            raise self._session.closed_error()
+            raise self._session.closed_error() from None
 
     def timed_out(self) -> TimedOut:
         self._queue.close()

@@ -52,8 +52,7 @@ pub struct ProgramPresence {
     pause: Duration,
     warnings: Warnings,
     actions: VecDeque<Action>,
-    /// The queries, and whether each is a question for the catalogue.
-    questions: VecDeque<(QueryId, bool)>,
+    questions: VecDeque<QueryId>,
     is_closed: bool,
 }
 
@@ -262,12 +261,15 @@ impl Driver for ProgramPresence {
             }
             Event::Query { query, payload, .. } => {
                 match requester_end::passed_on(&self.place, &payload.bytes) {
-                    Some((topic, get)) if self.program.serves(&topic) => {
+                    Some((topic, get)) => {
                         let id = PASSED_ON;
-                        self.actions.push_back(Action::Get { id, get });
-                        self.questions.push_back((query, false));
+                        let is_served = self.program.serves(&topic);
+                        let pass_on = is_served.then_some(Action::Get { id, get });
+                        self.actions.extend(pass_on);
+                        let answer = Answer::None;
+                        self.actions.push_back(Action::Answer { query, answer });
                     }
-                    passed_on => self.questions.push_back((query, passed_on.is_none())),
+                    None => self.questions.push_back(query),
                 }
             }
             Event::Closed => self.is_closed = true,
@@ -295,15 +297,12 @@ impl Driver for ProgramPresence {
         if let Some(action) = self.actions.pop_front() {
             return Step::Act(action);
         }
-        let Some((query, is_question)) = self.questions.pop_front() else {
+        let Some(query) = self.questions.pop_front() else {
             return Step::Wait(token_at.into_iter().chain(waits).min());
         };
-        let answer = match is_question {
-            true => Answer::Reply {
-                key: self.place.own(Some(&self.place.robot), CATALOGUE),
-                payload: Payload::new(format!("[{}]", self.program.to_json()), Encoding::JSON),
-            },
-            false => Answer::None,
+        let answer = Answer::Reply {
+            key: self.place.own(Some(&self.place.robot), CATALOGUE),
+            payload: Payload::new(format!("[{}]", self.program.to_json()), Encoding::JSON),
         };
         Step::Act(Action::Answer { query, answer })
     }

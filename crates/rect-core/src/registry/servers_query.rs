@@ -18,6 +18,8 @@ use crate::{
 
 /// The timeout of each question. The robots are asked at the same time.
 const TIMEOUT: Duration = Duration::from_secs(2);
+/// The time within which the tokens of a program end after its queries.
+const TOKENS_END_WITHIN: Duration = Duration::from_millis(250);
 /// The maximum number of robots that are asked.
 const MAX_ROBOTS: usize = 256;
 const TOKENS: Id = Id(0);
@@ -47,7 +49,8 @@ pub struct ServersQuery {
 
 #[derive(Debug)]
 enum State {
-    AskTokens,
+    /// Asks for the tokens, at that time if there is one.
+    AskTokens(Option<Instant>),
     AskingTokens,
     /// The robots to ask, those that were asked and have not answered, and how many were asked.
     Asking(Vec<Name>, BTreeMap<Id, Name>, u64),
@@ -62,12 +65,19 @@ impl Catalogues {
             place,
             topic,
             found: Servers::default(),
-            state: State::AskTokens,
+            state: State::AskTokens(None),
         }
     }
 }
 
 impl ServersQuery {
+    /// Asks a moment later, because a program may have ended at the time `now` whose token has not ended yet.
+    #[must_use]
+    pub fn after_end(mut self, now: Instant) -> Self {
+        self.state = State::AskTokens(Some(now + TOKENS_END_WITHIN));
+        self
+    }
+
     fn on_token(&mut self, key: &str) {
         let Some(token) = Token::parse(&self.place, key) else {
             return;
@@ -147,9 +157,10 @@ impl Driver for ServersQuery {
         Reaction::POLL
     }
 
-    fn poll(&mut self, _now: Instant) -> Step<Self::Item, Self::Output> {
+    fn poll(&mut self, now: Instant) -> Step<Self::Item, Self::Output> {
         match &mut self.state {
-            State::AskTokens => {
+            State::AskTokens(Some(at)) if now < *at => Step::Wait(Some(*at)),
+            State::AskTokens(_) => {
                 self.state = State::AskingTokens;
                 let get = Get::liveliness(token::tokens(&self.place, None), TIMEOUT);
                 Step::Act(Action::Get { id: TOKENS, get })

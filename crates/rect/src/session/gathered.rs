@@ -1,5 +1,5 @@
 //! Waits for the replies of all robots that serve a topic, and names those that did not reply.
-use std::{collections::BTreeSet, future::Future, time::Duration};
+use std::{collections::BTreeSet, time::Instant};
 
 use rect_core::{
     message::payload::FromPayload,
@@ -14,9 +14,6 @@ use super::{
     shared::NoItems,
 };
 use crate::error::Error;
-
-/// The time within which the tokens of a program end after its queries.
-const UNTIL_TOKENS_END: Duration = Duration::from_millis(250);
 
 /// The outcomes of a request to all robots; created by [`Replies::gather`].
 #[derive(Debug)]
@@ -40,20 +37,17 @@ pub struct Outcome<T = ()> {
 }
 
 impl Robot {
-    /// Asks which robots serve a topic.
-    fn servers(
-        &self,
-        topic: &Topic,
-    ) -> impl Future<Output = Result<Servers, Error>> + Send + 'static {
-        let inner = self.inner.clone();
-        let query = (inner.catalogues).servers(inner.place.clone(), topic.clone());
-        async move {
-            let found = Executor::new(&inner.session, query, NoItems).run().await?;
-            match found.filter(|_| !inner.session.is_closed()) {
-                Some(servers) => Ok(servers),
-                None => Err(Error::Closed),
-            }
-        }
+    /// Asks which robots serve a topic; a moment later, if a request has just ended at that time.
+    async fn servers(self, topic: Topic, ended: Option<Instant>) -> Result<Servers, Error> {
+        let inner = &self.inner;
+        let query = inner.catalogues.servers(inner.place.clone(), topic);
+        let query = match ended {
+            Some(now) => query.after_end(now),
+            None => query,
+        };
+        let found = Executor::new(&inner.session, query, NoItems).run().await?;
+        let found = found.filter(|_| !inner.session.is_closed());
+        found.ok_or(Error::Closed)
     }
 }
 
@@ -85,11 +79,10 @@ impl<T: FromPayload> Replies<T> {
     /// Dropping the future cancels the request. Services may have received it, and carry it out.
     pub async fn gather(self) -> Result<Gathered<T::Value>, Error> {
         let arriving = &self.arriving;
-        let inner = &arriving.robot.inner;
+        let (robot, topic) = (&arriving.robot, arriving.topic());
+        let runtime = &robot.inner.runtime;
         // The replies arrive meanwhile.
-        let asked = inner
-            .runtime
-            .spawn(arriving.robot.servers(arriving.topic()));
+        let asked = runtime.spawn(robot.clone().servers(topic.clone(), None));
         let (mut outcomes, mut replied) = (Vec::new(), BTreeSet::new());
         let mut timed_out = None;
         while let Some((robot, result)) = arriving.received::<T>().await {
@@ -109,7 +102,7 @@ impl<T: FromPayload> Replies<T> {
             robot: Some(robot.clone()),
             result: Err(match &timed_out {
                 Some((_, timeout)) => Error::TimedOut {
-                    expected: format!("reply of {robot} about {}", arriving.topic()),
+                    expected: format!("reply of {robot} about {topic}"),
                     timeout: *timeout,
                 },
                 None => arriving.interrupted(Some(robot.clone())),
@@ -120,9 +113,9 @@ impl<T: FromPayload> Replies<T> {
                 return Err(Error::TimedOut { expected, timeout });
             }
             // A program that served the topic may have ended, whose token ends a moment later.
-            tokio::time::sleep(UNTIL_TOKENS_END).await;
-            let now = arriving.robot.servers(arriving.topic()).await?;
-            return Err(match now == serving {
+            let again = robot.clone().servers(topic.clone(), Some(Instant::now()));
+            let again = runtime.spawn(again).await.map_err(|_| Error::Closed)??;
+            return Err(match again == serving {
                 true => arriving.no_service(None).await,
                 false => arriving.interrupted(None),
             });
