@@ -13,7 +13,10 @@ pub mod request;
 pub mod sequence;
 pub mod urgency;
 
-use std::time::{Duration, Instant, SystemTime};
+use std::{
+    collections::BTreeMap,
+    time::{Duration, Instant, SystemTime},
+};
 
 use zenoh_keyexpr::keyexpr;
 
@@ -23,10 +26,13 @@ use self::{
     payload::{FromPayload, Payload, PayloadError},
     urgency::Urgency,
 };
-use crate::name::{
-    key::{Address, AddressError, Audience, KeySpace, Selected},
-    topic::Topic,
-    Name,
+use crate::{
+    name::{
+        key::{Address, AddressError, Audience, KeySpace, Selected},
+        topic::Topic,
+        Name,
+    },
+    state::{live::Live, page::Value, program::Following, Origin, Retained},
 };
 
 /// A message from another robot, or from another program of this robot. `T` is the type that the program has stated for
@@ -67,6 +73,8 @@ pub struct Message<T = ()> {
     /// The method by which the message arrived, such as `ble`. `None` if it is unknown, or if this robot has links of
     /// several methods with the sender.
     pub method: Option<String>,
+    /// That the topic is retained, and how old this value of it is. `None`: the message is not of a retained topic.
+    pub retained: Option<Retained>,
 }
 
 impl Message {
@@ -87,6 +95,7 @@ impl Message {
             expires_at: None,
             value: Ok(()),
             method: None,
+            retained: None,
         }
     }
 
@@ -107,6 +116,7 @@ impl Message {
             replayed: self.replayed,
             expires_at: self.expires_at,
             method: self.method,
+            retained: self.retained,
         }
     }
 }
@@ -160,6 +170,10 @@ pub struct Inbound {
     gaps: Gaps,
     /// The key of the last message, its parts, and the subscription that delivers it: most subscriptions receive few keys.
     last: Option<(String, Address, usize)>,
+    /// Whether retained messages come from the router.
+    following: Following,
+    /// The retained values that were delivered.
+    retained: BTreeMap<(Name, Topic), Origin>,
 }
 
 impl Inbound {
@@ -170,7 +184,35 @@ impl Inbound {
             selected: selected.into(),
             gaps: Gaps::new(now),
             last: None,
+            following: Following::default(),
+            retained: BTreeMap::new(),
         }
+    }
+
+    /// Delivers retained messages as they are published if they do not come from the router, as `following` says.
+    #[must_use]
+    pub fn following(mut self, following: Following) -> Self {
+        self.following = following;
+        self
+    }
+
+    /// Returns the message of a retained value from the router, if one of the subscriptions selects it and it was not delivered before.
+    pub fn on_retained(&mut self, value: &Value) -> Option<Message> {
+        let robot = value.robot.as_ref()?;
+        let key = self.keys.service(Some(robot), &value.topic);
+        let all = (self.selected.iter()).filter(|selected| selected.audience == Audience::All);
+        let keys = keyexpr::new(&key).ok()?;
+        let mut selected = all.filter_map(|selected| keyexpr::new(&selected.key).ok());
+        if !selected.any(|selected| selected.intersects(keys)) {
+            return None;
+        }
+        let topic = (robot.clone(), value.topic.clone());
+        if value.is_forgotten {
+            self.retained.remove(&topic)?;
+        } else if self.retained.insert(topic, value.origin) == Some(value.origin) {
+            return None;
+        }
+        Some(value.message(robot.clone()))
     }
 
     /// Returns the message that a sample contains. `now` is only called if the message expires.
@@ -183,6 +225,10 @@ impl Inbound {
         now: impl FnOnce() -> Instant,
     ) -> Result<Message, Undelivered> {
         let address = self.parse(delivered.key, delivered.subscription)?;
+        let live = delivered.attachment.and_then(Live::decode);
+        if live.is_some() && self.following.is_active() {
+            return Err(Undelivered::NotSelected);
+        }
         let attachment = delivered.attachment.and_then(Attachment::decode);
         let mut message = Message {
             recipient: address.recipient,
@@ -190,7 +236,13 @@ impl Inbound {
             ..Message::new(address.sender, address.topic, delivered.payload)
         };
         match attachment {
-            None => self.gaps.on_unnumbered(&message.sender),
+            None => {
+                self.gaps.on_unnumbered(&message.sender);
+                if let Some(live) = live {
+                    message.sent_at = Sent::At(live.sent_ms).at();
+                    message.retained = Some(Retained::default());
+                }
+            }
             Some(attachment) => {
                 let lifetime = attachment
                     .lifetime_ms

@@ -483,7 +483,9 @@ mod tests {
         let question = Event::Query {
             id: QUERYABLE,
             query: QueryId(7),
+            key: "rect/wombat-1/@rect/catalogue".to_owned(),
             payload: Payload::new("", Encoding::TEXT),
+            attachment: None,
         };
         let _ = arm.on_event(now, question);
         let answer = r#"[{"program":"arm","instance":"0000001f","services":[{"topic":"grab"}]}]"#;

@@ -2,7 +2,10 @@
 use std::time::Duration;
 
 use super::{Id, QueryId};
-use crate::message::{payload::Payload, urgency::Qos};
+use crate::{
+    message::{payload::Payload, urgency::Qos},
+    state::RetainedReply,
+};
 
 /// An action on a Zenoh session.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,6 +40,19 @@ pub enum Action {
         /// Zenoh's quality of service.
         qos: Qos,
     },
+    /// Publish a retained message without a publisher.
+    PutRetained {
+        /// The key.
+        key: String,
+        /// Bytes and encoding; `None`: the topic is forgotten.
+        payload: Option<Payload>,
+        /// Zenoh's quality of service.
+        qos: Qos,
+        /// The attachment.
+        attachment: Vec<u8>,
+        /// The number of the message at its source, for zenoh-ext.
+        number: u32,
+    },
     /// Send a query. Each reply becomes an [`Event::Reply`](super::Event::Reply), and exactly one
     /// [`Event::Ended`](super::Event::Ended) follows, also if the query cannot be sent.
     Get {
@@ -51,6 +67,13 @@ pub enum Action {
         query: QueryId,
         /// The answer.
         answer: Answer,
+    },
+    /// Answer a query with the values of retained topics.
+    AnswerRetained {
+        /// The query.
+        query: QueryId,
+        /// The values; none ends the query.
+        replies: Vec<RetainedReply>,
     },
 }
 

@@ -32,8 +32,12 @@ pub enum Event {
         id: Id,
         /// Name of the query in the [answer](super::Action::Answer).
         query: QueryId,
+        /// Its key expression.
+        key: String,
         /// Bytes and encoding; empty if there are none.
         payload: Payload,
+        /// The attachment, if there is one.
+        attachment: Option<Bytes>,
     },
     /// Subscribers of a publisher appeared, or the last one disappeared.
     Matching {

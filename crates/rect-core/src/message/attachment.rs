@@ -45,7 +45,7 @@ pub enum Sent {
 
 impl Sent {
     /// Returns the whole time. `None` if the attachment does not contain it.
-    pub(super) fn at(self) -> Option<SystemTime> {
+    pub(crate) fn at(self) -> Option<SystemTime> {
         match self {
             Self::At(at_ms) | Self::Replayed(at_ms) => {
                 UNIX_EPOCH.checked_add(Duration::from_millis(at_ms))

@@ -57,6 +57,9 @@ pub enum PayloadError {
     /// The value does not fit the type that the program has stated.
     #[error(transparent)]
     Type(#[from] Mismatch),
+    /// The robot has forgotten the topic, so that the message has no value.
+    #[error("the topic was forgotten: there is no value any more")]
+    Forgotten,
     /// The encoding is too long to be sent.
     #[error(transparent)]
     Encoding(#[from] TooLong),

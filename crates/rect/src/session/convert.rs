@@ -79,6 +79,6 @@ pub(super) fn reply(reply: zenoh::query::Reply) -> Result<Sample, Payload> {
     }
 }
 
-fn owned(bytes: &ZBytes) -> Bytes {
+pub(super) fn owned(bytes: &ZBytes) -> Bytes {
     Bytes::from(bytes.to_bytes().into_owned())
 }

@@ -132,6 +132,13 @@ where
             Action::PutOnce { key, payload, qos } => {
                 queries::put_once(session, &key, payload, qos)?;
             }
+            Action::PutRetained {
+                key,
+                payload,
+                qos,
+                attachment,
+                number,
+            } => queries::put_retained(session, &key, payload, qos, attachment, number)?,
             Action::Get { id, get } => {
                 // Zenoh would end the query without replies, as if nobody were reachable.
                 if session.is_closed() {
@@ -149,6 +156,12 @@ where
                 let query = shared.take_query(query);
                 if let Some(query) = query {
                     queries::answer(&query, answer);
+                }
+            }
+            Action::AnswerRetained { query, replies } => {
+                let query = shared.take_query(query);
+                if let Some(query) = query {
+                    queries::answer_retained(session, &query, replies);
                 }
             }
         }

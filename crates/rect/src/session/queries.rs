@@ -2,6 +2,7 @@
 use rect_core::{
     driver::{Answer, Get, Sample, Target},
     message::{payload::Payload, urgency::Qos},
+    state::RetainedReply,
 };
 use zenoh::{
     bytes::{Encoding, ZBytes},
@@ -9,6 +10,7 @@ use zenoh::{
     liveliness::Liveliness,
     pubsub::Publisher,
     query::{ConsolidationMode, Query, QueryTarget, Reply},
+    sample::SourceInfo,
     session::SessionGetBuilder,
     Session, Wait,
 };
@@ -56,6 +58,43 @@ pub(super) fn put_once(
         .express(qos.express)
         .congestion_control(congestion_control(qos));
     put.wait().map_err(Error::zenoh("cannot send the message"))
+}
+
+/// Publishes a retained message, or that its topic is forgotten.
+pub(super) fn put_retained(
+    session: &Session,
+    key: &str,
+    payload: Option<Payload>,
+    qos: Qos,
+    attachment: Vec<u8>,
+    number: u32,
+) -> Result<(), Error> {
+    let source = source(session, number);
+    let sent = match payload {
+        Some(payload) => session
+            .put(key, payload.bytes)
+            .encoding(Encoding::from(payload.encoding.as_str()))
+            .priority(priority(qos))
+            .express(qos.express)
+            .congestion_control(congestion_control(qos))
+            .attachment(attachment)
+            .source_info(source)
+            .wait(),
+        None => session
+            .delete(key)
+            .priority(priority(qos))
+            .express(qos.express)
+            .congestion_control(congestion_control(qos))
+            .attachment(attachment)
+            .source_info(source)
+            .wait(),
+    };
+    sent.map_err(Error::zenoh("cannot send the message"))
+}
+
+/// Returns the source information by which zenoh-ext tells old messages from new ones.
+fn source(session: &Session, number: u32) -> SourceInfo {
+    SourceInfo::new(session.id(), number)
 }
 
 /// Sends a query. `on_end` is called exactly once, after the last reply or if the query cannot be sent.
@@ -116,6 +155,20 @@ pub(super) fn builder<'a>(
 pub(super) fn answer(query: &Query, answer: Answer) {
     if let Err(error) = try_answer(query, answer) {
         tracing::debug!("cannot reply on {}: {error}", query.key_expr());
+    }
+}
+
+/// Answers a query with the values of retained topics.
+pub(super) fn answer_retained(session: &Session, query: &Query, replies: Vec<RetainedReply>) {
+    for reply in replies {
+        let sent = query
+            .reply(&reply.key, reply.payload.bytes)
+            .encoding(reply.payload.encoding.as_str())
+            .attachment(reply.attachment)
+            .source_info(source(session, reply.number));
+        if let Err(error) = sent.wait() {
+            tracing::debug!("cannot reply on {}: {error}", reply.key);
+        }
     }
 }
 

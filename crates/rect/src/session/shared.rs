@@ -8,7 +8,7 @@ use std::{
 use rect_core::driver::{Driver, Event, Id, QueryId, MAX_OPEN_QUERIES};
 use zenoh::query::Query;
 
-use super::{queries, signal::Signal};
+use super::{convert, queries, signal::Signal};
 
 /// Receives the items of a driver. Called on Zenoh's threads and on that of the driver.
 pub(super) trait Sink<I>: Send + Sync {
@@ -66,6 +66,8 @@ impl<D: Driver> Shared<D> {
     /// Reports a query. Beyond the limit of open queries it ends without an answer.
     pub(super) fn on_query(&self, id: Id, query: Query) {
         let payload = queries::payload_of(&query);
+        let key = query.key_expr().as_str().to_owned();
+        let attachment = query.attachment().map(convert::owned);
         let mut open = self.open_queries();
         if open.queries.len() >= MAX_OPEN_QUERIES {
             return;
@@ -77,7 +79,9 @@ impl<D: Driver> Shared<D> {
         self.on_event(Event::Query {
             id,
             query: name,
+            key,
             payload,
+            attachment,
         });
     }
 

@@ -144,7 +144,9 @@ impl Subject {
             ("on_query", [id, query, payload, encoding]) => Event::Query {
                 id: Id(number(id)),
                 query: QueryId(number(query)),
+                key: String::new(),
                 payload: self::payload(payload, encoding),
+                attachment: None,
             },
             ("on_matching", [id, matching]) => Event::Matching {
                 id: Id(number(id)),

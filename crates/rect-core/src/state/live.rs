@@ -1,0 +1,121 @@
+//! Encodes the attachment of a retained message that is published: what its keeper and its program say about it, in 18 to 34 bytes.
+//!
+//! | bytes | content |
+//! |---|---|
+//! | 1 | `0xF7`. No text in UTF-8 begins with such a byte, and no other attachment of RECT's |
+//! | 1 | the urgency: 0 normal, 1 urgent, 2 bulk |
+//! | 4 | the run of the router that keeps it, little endian |
+//! | 1 to 9 | its number there, LEB128 |
+//! | 4 | the run of the program that published it, little endian |
+//! | 1 to 9 | how many values that run had published before, LEB128 |
+//! | 6 | the time of sending in milliseconds since 1970 by the program's clock, little endian |
+use super::{Origin, Position};
+use crate::message::urgency::Urgency;
+
+const MARK: u8 = 0xF7;
+
+/// The attachment of a retained message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Live {
+    /// The place of the value in the order of its keeper.
+    pub position: Position,
+    /// The identity of the value.
+    pub origin: Origin,
+    /// The time of sending in milliseconds since 1970, 48 bits.
+    pub sent_ms: u64,
+    /// The urgency of the message. A large one travels as bulk.
+    pub urgency: Urgency,
+}
+
+impl Live {
+    /// Encodes the attachment.
+    pub fn encode(&self) -> Vec<u8> {
+        let urgency = match self.urgency {
+            Urgency::Normal => 0,
+            Urgency::Urgent => 1,
+            Urgency::Bulk => 2,
+        };
+        let mut bytes = vec![MARK, urgency];
+        for (run, number) in [
+            (self.position.0, self.position.1),
+            (self.origin.0, self.origin.1),
+        ] {
+            bytes.extend(run.to_le_bytes());
+            write_leb128(number, &mut bytes);
+        }
+        bytes.extend(&self.sent_ms.to_le_bytes()[..6]);
+        bytes
+    }
+
+    /// Decodes an attachment. Returns `None` if the bytes are something else.
+    pub fn decode(bytes: &[u8]) -> Option<Self> {
+        let (&urgency, rest) = bytes.strip_prefix(&[MARK])?.split_first()?;
+        let urgency = match urgency {
+            0 => Urgency::Normal,
+            1 => Urgency::Urgent,
+            2 => Urgency::Bulk,
+            _ => return None,
+        };
+        let (run, rest) = rest.split_first_chunk()?;
+        let (number, rest) = read_leb128(rest)?;
+        let (program, rest) = rest.split_first_chunk()?;
+        let (count, rest) = read_leb128(rest)?;
+        let low: [u8; 6] = rest.try_into().ok()?;
+        let mut sent = [0; 8];
+        sent[..6].copy_from_slice(&low);
+        Some(Self {
+            position: Position(u32::from_le_bytes(*run), number),
+            origin: Origin(u32::from_le_bytes(*program), count),
+            sent_ms: u64::from_le_bytes(sent),
+            urgency,
+        })
+    }
+}
+
+fn write_leb128(mut rest: u64, to: &mut Vec<u8>) {
+    while rest >= 0x80 {
+        to.push(rest as u8 | 0x80);
+        rest >>= 7;
+    }
+    to.push(rest as u8);
+}
+
+/// Returns the number of up to 63 bits at the beginning of the bytes, and the bytes after it.
+fn read_leb128(mut bytes: &[u8]) -> Option<(u64, &[u8])> {
+    let mut number = 0;
+    for shift in (0..63).step_by(7) {
+        let (&byte, after) = bytes.split_first()?;
+        bytes = after;
+        number |= u64::from(byte & 0x7f) << shift;
+        if byte & 0x80 == 0 {
+            return Some((number, bytes));
+        }
+    }
+    None
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::message::attachment::Attachment;
+
+    #[test]
+    fn attachments_round_trip() {
+        for (number, bytes) in [(0, 18), (127, 18), (128, 19), ((1 << 63) - 1, 26)] {
+            let live = Live {
+                position: Position(7, number),
+                origin: Origin(u32::MAX, 1),
+                sent_ms: (1 << 48) - 1,
+                urgency: Urgency::Bulk,
+            };
+            let encoded = live.encode();
+            assert_eq!(encoded.len(), bytes);
+            assert_eq!(Live::decode(&encoded), Some(live));
+            assert_eq!(Attachment::decode(&encoded), None, "another attachment");
+            for cut in 0..bytes {
+                assert_eq!(Live::decode(&encoded[..cut]), None, "cut to {cut}");
+            }
+            assert_eq!(Live::decode(&[&encoded[..], &[0]].concat()), None);
+        }
+    }
+}

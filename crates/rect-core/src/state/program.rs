@@ -1,0 +1,397 @@
+//! Drives the state that a program receives: waits at the router of its robot for changes, and gives the router the program's own values
+//! again after a restart.
+use std::{
+    collections::{BTreeMap, VecDeque},
+    sync::{
+        atomic::{AtomicBool, Ordering},
+        Arc,
+    },
+    time::{Duration, Instant},
+};
+
+use zenoh_keyexpr::OwnedKeyExpr;
+
+use super::{
+    page::{read, write, Kept, Order, Page, Value},
+    store::{is_selected, Key},
+    Origin, Position, OF_PROGRAMS,
+};
+use crate::{
+    driver::{Action, Declaration, Driver, Event, Get, Id, Reaction, Step},
+    message::{encoding::Encoding, payload::Payload, urgency::Urgency},
+    name::{key::KeySpace, topic::Topic, Name},
+};
+
+/// How long a question waits at the router for changes. Only the program's own router is asked.
+pub const POLL: Duration = Duration::from_secs(60);
+/// The time after which a question without an answer is asked again.
+const TIMEOUT: Duration = Duration::from_secs(POLL.as_secs() + 10);
+/// The pauses before a question that nobody has answered is asked again; the last one repeats.
+const PAUSES: [Duration; 4] = [
+    Duration::from_millis(50),
+    Duration::from_millis(200),
+    Duration::from_millis(500),
+    Duration::from_secs(1),
+];
+/// How long a new subscription waits for others, which are asked for together with it.
+const TOGETHER: Duration = Duration::from_millis(2);
+/// The first id of the questions.
+const FIRST: u64 = 1;
+const LINKS: Id = Id(0);
+
+/// Whether retained messages reach a program through its router. If not, because the router is older than they are, they are delivered as
+/// they are published.
+#[derive(Clone, Debug)]
+pub struct Following(Arc<AtomicBool>);
+
+impl Default for Following {
+    fn default() -> Self {
+        Self(Arc::new(AtomicBool::new(true)))
+    }
+}
+
+impl Following {
+    /// Returns whether they do.
+    pub fn is_active(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    fn set(&self, is_active: bool) {
+        self.0.store(is_active, Ordering::Relaxed);
+    }
+}
+
+/// A value that this program has published.
+#[derive(Debug)]
+struct Own {
+    origin: Origin,
+    kept: Option<Position>,
+    payload: Payload,
+    urgency: Urgency,
+    disk: bool,
+    sent_ms: u64,
+    since: Instant,
+}
+
+/// The state that a program receives. Delivers values, with the names of their robots, each to all subscriptions; they select theirs.
+#[derive(Debug)]
+pub struct ProgramState {
+    place: KeySpace,
+    /// The run of the program.
+    run: u32,
+    published: u64,
+    subscriptions: BTreeMap<u64, Vec<OwnedKeyExpr>>,
+    next_subscription: u64,
+    own: BTreeMap<Topic, Own>,
+    /// The values that were delivered, and the run of the router which had them last.
+    known: BTreeMap<Key, u32>,
+    position: Option<Position>,
+    /// The run of the router that answered last.
+    router: Option<u32>,
+    following: Following,
+    asking: Option<Id>,
+    is_answered: bool,
+    attempts: usize,
+    ask_at: Option<Instant>,
+    /// The values that the router gets again, by the ids of the queries.
+    returned: BTreeMap<Id, Topic>,
+    next: u64,
+    actions: VecDeque<Action>,
+    items: VecDeque<Value>,
+    is_closed: bool,
+}
+
+impl ProgramState {
+    /// Creates the state of a program of the robot of `place`. `run` is the run of the program.
+    pub fn new(place: KeySpace, run: u32, now: Instant) -> Self {
+        let declaration = Declaration::LinkListener;
+        Self {
+            place,
+            run,
+            published: 0,
+            subscriptions: BTreeMap::new(),
+            next_subscription: 0,
+            own: BTreeMap::new(),
+            known: BTreeMap::new(),
+            position: None,
+            router: None,
+            following: Following::default(),
+            asking: None,
+            is_answered: false,
+            attempts: 0,
+            ask_at: Some(now + TOGETHER),
+            returned: BTreeMap::new(),
+            next: FIRST,
+            actions: [Action::Declare {
+                id: LINKS,
+                declaration,
+            }]
+            .into(),
+            items: VecDeque::new(),
+            is_closed: false,
+        }
+    }
+
+    /// Returns whether retained messages reach the program through its router.
+    pub fn following(&self) -> Following {
+        self.following.clone()
+    }
+
+    /// Adds a subscription to messages with those key expressions. Returns its number.
+    pub fn subscribe(&mut self, keys: &[String], now: Instant) -> u64 {
+        let keys = keys.iter().filter_map(|key| OwnedKeyExpr::autocanonize(key.clone()).ok());
+        self.next_subscription += 1;
+        self.subscriptions.insert(self.next_subscription, keys.collect());
+        // It gets the values that others have already.
+        self.position = None;
+        self.ask_at = Some(now + TOGETHER);
+        self.next_subscription
+    }
+
+    /// Removes a subscription.
+    pub fn unsubscribe(&mut self, subscription: u64) {
+        self.subscriptions.remove(&subscription);
+        let keys = self.keys();
+        let fleet = &self.place.fleet;
+        self.known.retain(|key, _| is_selected(fleet, &keys, key));
+    }
+
+    /// Returns the identity of the next value that the program publishes.
+    pub fn next_origin(&mut self) -> Origin {
+        self.published += 1;
+        Origin(self.run, self.published)
+    }
+
+    /// Handles that the router keeps a value of the program, or has forgotten it.
+    pub fn on_kept(&mut self, topic: Topic, order: &Order, kept: Kept, now: Instant) {
+        match order {
+            Order::Set {
+                origin,
+                sent_ms,
+                urgency,
+                disk,
+                encoding,
+                bytes,
+                ..
+            } => {
+                let own = Own {
+                    origin: *origin,
+                    kept: Some(kept.at),
+                    payload: Payload::new(bytes.clone(), Encoding::new(encoding.clone())),
+                    urgency: *urgency,
+                    disk: *disk,
+                    sent_ms: *sent_ms,
+                    since: now,
+                };
+                if self.own.insert(topic, own).is_none() {
+                    // Another program may publish the topic, too.
+                    self.ask_at.get_or_insert(now + TOGETHER);
+                }
+            }
+            _ => {
+                self.own.remove(&topic);
+            }
+        }
+    }
+
+    fn keys(&self) -> Vec<OwnedKeyExpr> {
+        self.subscriptions.values().flatten().cloned().collect()
+    }
+
+    fn question(&self) -> Order {
+        let own = self.own.keys().map(|topic| self.place.publication(topic));
+        let mut keys: Vec<_> = self.keys().iter().map(ToString::to_string).collect();
+        keys.extend(own);
+        keys.sort();
+        keys.dedup();
+        Order::Poll {
+            program: self.run,
+            since: self.position,
+            keys,
+        }
+    }
+
+    fn get(&mut self, order: &Order) -> Id {
+        self.next += 1;
+        let id = Id(self.next);
+        let get = order_to(&self.place, order, TIMEOUT);
+        self.actions.push_back(Action::Get { id, get });
+        id
+    }
+
+    fn on_page(&mut self, page: Page, now: Instant) {
+        if self.router.is_some_and(|run| run != page.run) {
+            self.give_back(now);
+        }
+        self.router = Some(page.run);
+        let own = self.place.robot.clone();
+        for mut value in page.records {
+            let robot = value.robot.get_or_insert_with(|| own.clone()).clone();
+            if robot == own {
+                self.on_own(&value, page.run);
+            }
+            let key = (robot, value.topic.clone());
+            if value.is_forgotten {
+                self.known.remove(&key);
+            } else if self.is_subscribed(&key) {
+                self.known.insert(key, page.run);
+            }
+            self.items.push_back(value);
+        }
+        for robot in page.complete {
+            let robot = match robot.as_str() {
+                "" => Ok(own.clone()),
+                robot => Name::new(robot),
+            };
+            if let Ok(robot) = robot {
+                self.forget_others(&robot, page.run);
+            }
+        }
+        self.position = Some(Position(page.run, page.at));
+    }
+
+    /// Handles a value of this robot: another program may have published a topic after this one.
+    fn on_own(&mut self, value: &Value, run: u32) {
+        let is_replaced = self.own.get(&value.topic).is_some_and(|own| {
+            let kept = own.kept.filter(|Position(of, _)| *of == run);
+            own.origin != value.origin && kept.is_some_and(|kept| value.number > kept.1)
+        });
+        if is_replaced {
+            self.own.remove(&value.topic);
+        }
+    }
+
+    fn is_subscribed(&self, key: &Key) -> bool {
+        let fleet = &self.place.fleet;
+        let mut all = self.subscriptions.values();
+        all.any(|keys| is_selected(fleet, keys, key))
+    }
+
+    /// Delivers that values of a robot are forgotten which its router does not have any more.
+    fn forget_others(&mut self, robot: &Name, run: u32) {
+        let gone = self.known.iter().filter(|((of, _), known)| of == robot && **known != run);
+        let gone: Vec<_> = gone.map(|(key, _)| key.clone()).collect();
+        for key in gone {
+            self.known.remove(&key);
+            self.items.push_back(Value {
+                robot: Some(key.0),
+                topic: key.1,
+                number: 0,
+                origin: Origin(0, 0),
+                payload: Payload::new("", Encoding::BYTES),
+                urgency: Urgency::Normal,
+                sent_ms: 0,
+                age: Duration::ZERO,
+                has_ended: false,
+                is_forgotten: true,
+            });
+        }
+    }
+
+    /// Gives the values of this program to a router that has been restarted.
+    fn give_back(&mut self, now: Instant) {
+        let orders = self.own.iter().map(|(topic, own)| {
+            let age = now.saturating_duration_since(own.since).as_millis();
+            let order = Order::Set {
+                topic: topic.to_string(),
+                origin: own.origin,
+                sent_ms: own.sent_ms,
+                kept: own.kept,
+                age_ms: u64::try_from(age).unwrap_or(u64::MAX),
+                urgency: own.urgency,
+                disk: own.disk,
+                encoding: own.payload.encoding.as_str().to_owned(),
+                bytes: own.payload.bytes.clone(),
+            };
+            (topic.clone(), order)
+        });
+        let orders: Vec<_> = orders.collect();
+        for (topic, order) in orders {
+            let id = self.get(&order);
+            self.returned.insert(id, topic);
+        }
+    }
+
+    fn on_reply(&mut self, id: Id, reply: Result<Payload, Payload>, now: Instant) {
+        if let Some(topic) = self.returned.remove(&id) {
+            let kept = reply.ok().and_then(|reply| read::<Kept>(&reply.bytes).ok());
+            if let (Some(own), Some(kept)) = (self.own.get_mut(&topic), kept) {
+                own.kept = Some(kept.at);
+            }
+            return;
+        }
+        if self.asking != Some(id) {
+            return;
+        }
+        let page = reply.ok().and_then(|reply| read::<Page>(&reply.bytes).ok());
+        if let Some(page) = page {
+            self.is_answered = true;
+            self.following.set(true);
+            self.on_page(page, now);
+        }
+    }
+
+    fn on_ended(&mut self, id: Id, now: Instant) {
+        if self.asking != Some(id) {
+            return;
+        }
+        self.asking = None;
+        if std::mem::take(&mut self.is_answered) {
+            self.attempts = 0;
+            self.ask_at = Some(now);
+            return;
+        }
+        let pause = PAUSES[self.attempts.min(PAUSES.len() - 1)];
+        self.attempts += 1;
+        if self.attempts == PAUSES.len() {
+            self.following.set(false);
+        }
+        self.ask_at = Some(now + pause);
+    }
+}
+
+/// Returns the query that gives an order to the router of a robot's programs.
+pub(super) fn order_to(place: &KeySpace, order: &Order, timeout: Duration) -> Get {
+    Get {
+        payload: Some(write(order)),
+        ..Get::new(place.own(Some(&place.robot), OF_PROGRAMS), timeout)
+    }
+}
+
+impl Driver for ProgramState {
+    type Item = Value;
+    type Output = ();
+
+    fn on_event(&mut self, now: Instant, event: Event) -> Reaction<Value> {
+        match event {
+            Event::Reply { id, reply } => {
+                self.on_reply(id, reply.map(|sample| sample.payload), now);
+            }
+            Event::Ended { id } => self.on_ended(id, now),
+            // The router may be another one, and an earlier question may have been lost.
+            Event::Link { up: true, .. } => self.ask_at = Some(now),
+            Event::Closed => self.is_closed = true,
+            _ => return Reaction::NONE,
+        }
+        Reaction::POLL
+    }
+
+    fn poll(&mut self, now: Instant) -> Step<Value, ()> {
+        if self.is_closed {
+            return Step::Finished(());
+        }
+        if let Some(item) = self.items.pop_front() {
+            return Step::Deliver(item);
+        }
+        if self.ask_at.is_some_and(|at| at <= now) {
+            self.ask_at = None;
+            let question = self.question();
+            self.asking = Some(self.get(&question));
+            self.is_answered = false;
+        }
+        match self.actions.pop_front() {
+            Some(action) => Step::Act(action),
+            None => Step::Wait(self.ask_at),
+        }
+    }
+}
