@@ -41,8 +41,13 @@ const MAX_WAITING_QUERIES: usize = 64;
 ///
 /// # Errors
 /// Fails if a queryable or the subscriber cannot be declared.
-pub fn serve(session: &Session, place: &KeySpace) -> zenoh::Result<()> {
-    let keeper = Arc::new(Mutex::new(Keeper::default()));
+pub fn serve(
+    session: &Session,
+    place: &KeySpace,
+    keeper: &Arc<Mutex<Keeper>>,
+    is_retained: IsRetained,
+) -> zenoh::Result<()> {
+    let keeper = Arc::clone(keeper);
     let (of_tokens, observer) = (Arc::clone(&keeper), place.clone());
     let on_token = move |sample: Sample| {
         if let Some(token) = Token::parse(&observer, sample.key_expr().as_str()) {
@@ -65,6 +70,7 @@ pub fn serve(session: &Session, place: &KeySpace) -> zenoh::Result<()> {
         place: place.clone(),
         key,
         keeper: Arc::clone(&keeper),
+        is_retained,
     };
     thread::Builder::new()
         .name("catalogue".to_owned())
@@ -101,7 +107,11 @@ struct Registrar {
     place: KeySpace,
     key: String,
     keeper: Arc<Mutex<Keeper>>,
+    is_retained: IsRetained,
 }
+
+/// Returns whether a topic is retained, so that no program can serve it.
+pub type IsRetained = Box<dyn Fn(&Topic) -> bool + Send>;
 
 /// The answer to a registration.
 #[derive(Serialize)]
@@ -132,6 +142,12 @@ impl Registrar {
 
     /// Registers a program. If another one serves one of its topics, that one is asked whether it still answers.
     fn register(&self, program: Program) -> Result<Option<String>, String> {
+        let mut topics = program.services.iter().map(|service| &service.topic);
+        if let Some(topic) = topics.find(|topic| (self.is_retained)(topic)) {
+            return Err(format!(
+                "{topic} is retained by a program of this robot, and a topic cannot be served and retained: choose another topic, or forget it (`rect topic forget {topic}`)"
+            ));
+        }
         let deadline = Instant::now() + PING_TIMEOUT;
         loop {
             let registered = self.keeper.lock().register(program.clone(), Instant::now());

@@ -1,10 +1,14 @@
 //! Starts and stops what RECT adds to the router of a robot: its named connections, the registry that reports them, the
 //! config service that changes them, the catalogue of its programs, and the answers about their topics.
-use std::sync::Arc;
+use std::{sync::Arc, time::Instant};
 
+use parking_lot::Mutex;
+use rect::KeptState;
 use rect_connections::{AutoConnect, MAX_AUTO_LINKS};
 use rect_core::{
-    name::{key::KeySpace, Name},
+    catalogue::keeper::Keeper,
+    name::{key::KeySpace, topic::Topic, Name},
+    state::keeper::IsServed,
     text::humanize,
 };
 use zenoh::{Config, Session, Wait};
@@ -15,7 +19,7 @@ use crate::{
     config_service,
     connections::{Connections, FileWatch, FleetConnector},
     registry::Registry,
-    topics,
+    state, topics,
 };
 
 /// The services of a robot whose router does not run yet.
@@ -33,6 +37,7 @@ pub struct RunningServices {
     fleet: Arc<FleetConnector>,
     _watching: Option<FileWatch>,
     _registry: Registry,
+    _state: Arc<KeptState>,
 }
 
 impl Drop for RunningServices {
@@ -115,7 +120,19 @@ impl RobotServices {
         let (own, settings) = (&self.own, &self.settings);
         let keys = format!("{}/{}", settings.fleet, settings.robot);
         topics::serve(session, &keys)?;
-        catalogue::serve(session, &place(settings)?)?;
+        let (place, programs) = (place(settings)?, Arc::default());
+        let state = Arc::new(state::serve(
+            session,
+            place.clone(),
+            settings,
+            is_served(&programs),
+        )?);
+        let retaining = Arc::downgrade(&state);
+        let is_retained = move |topic: &Topic| {
+            let state = retaining.upgrade();
+            state.is_some_and(|state| state.has(topic))
+        };
+        catalogue::serve(session, &place, &programs, Box::new(is_retained))?;
         let (connections, fleet) = (self.connections.clone(), Arc::clone(&self.fleet));
         let registry = Registry::serve(session, host, own, settings, self.connections, self.fleet)?;
         Ok(RunningServices {
@@ -123,8 +140,18 @@ impl RobotServices {
             fleet,
             _watching: watching,
             _registry: registry,
+            _state: state,
         })
     }
+}
+
+/// Returns whether a program serves a topic.
+fn is_served(programs: &Arc<Mutex<Keeper>>) -> IsServed {
+    let programs = Arc::clone(programs);
+    Box::new(move |topic| {
+        let programs = programs.lock().programs(Instant::now());
+        programs.iter().any(|program| program.serves(topic))
+    })
 }
 
 /// Returns the keys of the robot.

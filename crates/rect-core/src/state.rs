@@ -6,15 +6,15 @@
 //!
 //! Values travel in [`page`]s: what changed since a number. A value that changes is also published as any message, with a [`live`]
 //! attachment, for subscribers that do not use RECT and for the copies.
+mod copies;
+mod followers;
 pub mod keeper;
 pub mod latest;
 pub mod live;
 pub mod page;
+mod polls;
 pub mod program;
 pub mod retain;
-mod copies;
-mod followers;
-mod polls;
 mod store;
 #[cfg(test)]
 mod tests;

@@ -88,6 +88,14 @@ pub enum Error {
         /// The reachable robots.
         available: Vec<Name>,
     },
+    /// A message was published and is not retained: programs that start later do not get it. The reason states what to do.
+    #[error("{topic} is not retained: {reason}")]
+    NotRetained {
+        /// The topic.
+        topic: String,
+        /// The reason.
+        reason: String,
+    },
     /// No program provides the service. Is the robot reachable, and is its program running?
     #[error("{}", no_service(.robot.as_ref(), .topic, .available))]
     NoService {

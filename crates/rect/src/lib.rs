@@ -55,6 +55,7 @@ pub use rect_core::{
         named_connection::NamedConnection,
     },
     session::{login::LoginRefused, router::WrongRobot},
+    state::Retained,
     storage::Content,
     stream::{
         options::OptionError,

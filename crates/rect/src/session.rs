@@ -29,6 +29,7 @@ mod router_links;
 mod service;
 mod shared;
 mod signal;
+mod state;
 mod stream;
 mod subscriber;
 mod threads;
@@ -48,6 +49,8 @@ pub use recording::{RecordOptions, RobotRecorder};
 pub use request::{Replies, Reply};
 pub use robot::Robot;
 pub use service::{Request, Requests, Service, ServiceOptions};
+#[doc(hidden)]
+pub use state::{KeptState, Save};
 pub use stream::{Frame, StreamSender, Watcher};
 pub(crate) use subscriber::call;
 pub use subscriber::{QueueOptions, Subscriber, Subscription};

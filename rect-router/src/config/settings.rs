@@ -29,6 +29,8 @@ pub struct Settings {
     pub robot: String,
     /// Path of the connections file; without it the robot has no named connections.
     pub connections: Option<PathBuf>,
+    /// Path of the file of the retained values that survive a restart; default `retained.cbor` beside the connections file.
+    pub retained: Option<PathBuf>,
     /// Folders of the files that options of named connections may name, such as certificates, besides `/etc/rect` and the folder
     /// of the connections file. Absolute paths.
     #[serde(default)]
@@ -160,6 +162,7 @@ mod tests {
             fleet: "rect".into(),
             robot: "wombat-1".into(),
             connections: None,
+            retained: None,
             option_folders: Vec::new(),
             auto_connect: AutoConnect::Listed,
             auto_links: DEFAULT_AUTO_LINKS,

@@ -138,7 +138,8 @@ impl Copies {
     pub(super) fn asked(&self, id: Id) -> Option<&Name> {
         let mut all = self.0.iter();
         let is_asked = |copied: &Copied| copied.asking.as_ref().is_some_and(|one| one.id == id);
-        all.find(|(_, copied)| is_asked(copied)).map(|(robot, _)| robot)
+        all.find(|(_, copied)| is_asked(copied))
+            .map(|(robot, _)| robot)
     }
 
     pub(super) fn all(&self) -> impl Iterator<Item = (&Name, &Copied)> {
@@ -194,7 +195,9 @@ impl Copies {
     ) -> Vec<Name> {
         let mut emptied = Vec::new();
         for (robot, copied) in &mut self.0 {
-            let is_due = copied.without.is_some_and(|since| now >= since + FORGOTTEN_AFTER);
+            let is_due = copied
+                .without
+                .is_some_and(|since| now >= since + FORGOTTEN_AFTER);
             if is_due && has_values(robot) {
                 (copied.position, copied.fetched) = (None, Vec::new());
                 emptied.push(robot.clone());
@@ -294,7 +297,9 @@ impl Copies {
         });
         match asking.is_new && previous.is_some() {
             true => {
-                copied.fetched.retain(|fetched| !keys.iter().any(|key| key.includes(fetched)));
+                copied
+                    .fetched
+                    .retain(|fetched| !keys.iter().any(|key| key.includes(fetched)));
                 copied.fetched.extend(keys.iter().cloned());
             }
             false => copied.fetched.clone_from(&keys),
@@ -352,7 +357,9 @@ impl Copies {
     /// Returns when something is due next.
     pub(super) fn next(&self) -> Option<Instant> {
         let times = self.0.values().flat_map(|copied| {
-            let retry = copied.retry_at.filter(|_| !copied.runs.is_empty() && copied.asking.is_none());
+            let retry = copied
+                .retry_at
+                .filter(|_| !copied.runs.is_empty() && copied.asking.is_none());
             [retry, copied.without.map(|since| since + FORGOTTEN_AFTER)]
         });
         times.flatten().min()

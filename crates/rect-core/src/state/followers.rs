@@ -51,7 +51,8 @@ impl Followers {
             attempts: 0,
             asking: None,
         });
-        let is_replaced = |known: &OwnedKeyExpr| !adds || keys.iter().any(|key| key.includes(known));
+        let is_replaced =
+            |known: &OwnedKeyExpr| !adds || keys.iter().any(|key| key.includes(known));
         follower.keys.retain(|known| !is_replaced(known));
         follower.keys.extend(keys);
         follower.keys.truncate(MAX_KEYS);

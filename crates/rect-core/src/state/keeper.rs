@@ -20,7 +20,9 @@ use super::{
 };
 use crate::{
     catalogue::token::{self, Token},
-    driver::{Action, Answer, Declaration, Driver, Event, Get, Id, QueryId, Reaction, Sample, Step},
+    driver::{
+        Action, Answer, Declaration, Driver, Event, Get, Id, QueryId, Reaction, Sample, Step,
+    },
     message::{
         encoding::Encoding,
         payload::Payload,
@@ -84,7 +86,19 @@ pub struct StateKeeper {
     actions: VecDeque<Action>,
     items: VecDeque<Item>,
     is_warned: bool,
+    /// Why values are not on disk that should be.
+    not_on_disk: Option<String>,
+    is_without_disk: bool,
     is_closed: bool,
+}
+
+/// Whether and where values are kept on disk.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Disk {
+    /// There is no place for them, for this reason.
+    None(String),
+    /// The bytes of the last [`Item::Save`], if there are any.
+    Saved(Option<Vec<u8>>),
 }
 
 impl fmt::Debug for StateKeeper {
@@ -94,15 +108,8 @@ impl fmt::Debug for StateKeeper {
 }
 
 impl StateKeeper {
-    /// Creates the state of the robot of `place`. `run` is a random number. `saved` are the bytes of the last [`Item::Save`], if there are
-    /// any.
-    pub fn new(
-        place: KeySpace,
-        run: u32,
-        saved: Option<&[u8]>,
-        is_served: IsServed,
-        now: Instant,
-    ) -> Self {
+    /// Creates the state of the robot of `place`. `run` is a random number.
+    pub fn new(place: KeySpace, run: u32, disk: Disk, is_served: IsServed, now: Instant) -> Self {
         let key = place.own(Some(&place.robot), OF_PROGRAMS);
         let complete = true;
         let declaration = Declaration::Queryable { key, complete };
@@ -130,10 +137,14 @@ impl StateKeeper {
             actions: declared.into(),
             items: VecDeque::new(),
             is_warned: false,
+            not_on_disk: None,
+            is_without_disk: matches!(disk, Disk::None(_)),
             is_closed: false,
         };
-        if let Some(saved) = saved {
-            keeper.load(saved, now);
+        match disk {
+            Disk::None(reason) => keeper.not_on_disk = Some(reason),
+            Disk::Saved(Some(saved)) => keeper.load(&saved, now),
+            Disk::Saved(None) => {}
         }
         keeper
     }
@@ -147,12 +158,14 @@ impl StateKeeper {
 
     /// Handles that bytes could not be written to disk, or were.
     pub fn on_saved(&mut self, error: Option<String>) {
-        if let Some(error) = &error {
-            self.warn(format!(
-                "the retained values cannot be written to disk, and are lost when this router ends: {error}"
-            ));
+        let text = |error| {
+            format!("the retained values cannot be written to disk, and are lost when this router ends: {error}")
+        };
+        let was_known = self.not_on_disk.is_some();
+        self.not_on_disk = error.map(text);
+        if let Some(text) = self.not_on_disk.clone().filter(|_| !was_known) {
+            self.items.push_back(Item::Warning(text));
         }
-        self.is_warned = error.is_some();
     }
 
     fn warn(&mut self, text: String) {
@@ -190,7 +203,9 @@ impl StateKeeper {
         let kept = kept.filter(|(_, entry)| entry.disk && entry.payload.is_some());
         let page = Page {
             run: self.run,
-            records: kept.map(|(key, entry)| entry.value(key, own, now)).collect(),
+            records: kept
+                .map(|(key, entry)| entry.value(key, own, now))
+                .collect(),
             ..Page::default()
         };
         write(&page).bytes.to_vec()
@@ -340,32 +355,34 @@ impl StateKeeper {
             }
             Order::Poll { .. } | Order::Latest { .. } => return Err("no value".to_owned()),
         };
-        let unchanged = |number| Kept {
+        let kept = |number| Kept {
             at: Position(self.run, number),
-            changed: false,
+            warning: None,
         };
         if let Some(existing) = existing {
             // It was repeated because the reply was lost, or the program comes back.
             if existing.origin == entry.origin {
-                let kept = unchanged(existing.number);
+                let kept = kept(existing.number);
                 let has_ended = existing.has_ended;
-                self.store.update(&key, has_ended, |existing| existing.has_ended = false);
+                self.store
+                    .update(&key, has_ended, |existing| existing.has_ended = false);
                 return Ok(kept);
             }
             if is_restored && is_newer(existing.kept, entry.kept) {
-                return Ok(unchanged(existing.number));
+                return Ok(kept(existing.number));
             }
         }
         let had_value = existing.is_some_and(|existing| existing.payload.is_some());
         if entry.payload.is_none() && !had_value {
-            return Ok(unchanged(self.store.last()));
+            return Ok(kept(self.store.last()));
         }
         let was_on_disk = existing.is_some_and(|existing| existing.disk);
         let is_on_disk = entry.disk || was_on_disk;
         let published = Published::of(&entry);
+        let warning = self.not_on_disk.clone().filter(|_| entry.disk);
         match self.store.put(key.clone(), entry) {
             Ok(number) => {
-                if is_on_disk {
+                if is_on_disk && !self.is_without_disk {
                     // Before it is published: after a crash, nobody gets an older value than others had.
                     self.items.push_back(Item::Save(self.saved(now)));
                 }
@@ -376,7 +393,7 @@ impl StateKeeper {
                 self.on_change(&key, now);
                 Ok(Kept {
                     at: Position(self.run, number),
-                    changed: true,
+                    warning,
                 })
             }
             Err(full) => {
@@ -422,8 +439,7 @@ impl StateKeeper {
         is_own: bool,
     ) -> Page {
         let KeySpace { fleet, robot: own } = &self.place;
-        let select =
-            |key: &Key| (!is_own || key.0 == *own) && is_selected(fleet, keys, key);
+        let select = |key: &Key| (!is_own || key.0 == *own) && is_selected(fleet, keys, key);
         let mut page = self.store.page(self.run, since, own, now, select);
         if page.more {
             return page;
@@ -435,9 +451,12 @@ impl StateKeeper {
         }
         if !is_own {
             let others = self.copies.all().filter(|(robot, copied)| {
-                copied.is_complete && is_new(copied.complete_at) && copied.covers(fleet, robot, keys)
+                copied.is_complete
+                    && is_new(copied.complete_at)
+                    && copied.covers(fleet, robot, keys)
             });
-            page.complete.extend(others.map(|(robot, _)| robot.to_string()));
+            page.complete
+                .extend(others.map(|(robot, _)| robot.to_string()));
         }
         page
     }
@@ -499,7 +518,8 @@ impl StateKeeper {
                 self.interests.push((key.clone(), id));
             }
         }
-        self.interests.sort_by(|(a, _), (b, _)| a.as_str().cmp(b.as_str()));
+        self.interests
+            .sort_by(|(a, _), (b, _)| a.as_str().cmp(b.as_str()));
         self.copies.on_interests(&interests);
         self.drop_copies(&interests);
     }
@@ -548,16 +568,18 @@ impl StateKeeper {
             }) => {
                 let fleet = &self.place.fleet;
                 let of = Name::new(&of).ok().filter(|of| *of != own);
-                let is_followed = of.as_ref().is_some_and(|of| {
-                    self.interests.iter().any(|(key, _)| is_of(fleet, of, key))
-                });
+                let is_followed = of
+                    .as_ref()
+                    .is_some_and(|of| self.interests.iter().any(|(key, _)| is_of(fleet, of, key)));
                 if let Some(of) = of.filter(|_| is_followed) {
                     let known = self.copies.get(&of).map_or(0, |copied| {
                         let select = |key: &Key| is_selected(fleet, copied.fetched(), key);
                         self.store.digest(&of, Some(at.0), select)
                     });
                     if let Some(copied) = self.copies.get_mut(&of) {
-                        let is_same = copied.position().is_some_and(|Position(run, _)| run == at.0);
+                        let is_same = copied
+                            .position()
+                            .is_some_and(|Position(run, _)| run == at.0);
                         match is_same && known == digest && copied.is_complete == is_complete {
                             true => copied.on_known(at),
                             false => copied.on_behind(),
@@ -611,7 +633,10 @@ impl StateKeeper {
         let Some(copied) = self.copies.get_mut(&robot) else {
             return;
         };
-        if copied.position().is_none_or(|Position(run, _)| run != live.position.0) {
+        if copied
+            .position()
+            .is_none_or(|Position(run, _)| run != live.position.0)
+        {
             // It may be older than what the router answers.
             return copied.on_behind();
         }
@@ -703,7 +728,9 @@ impl StateKeeper {
         let is_other = |entry: &Entry| entry.kept.is_none_or(|Position(of, _)| of != run);
         let all = self.store.of(robot);
         let others = all.filter(|(key, entry)| is_other(entry) && is_selected(fleet, keys, key));
-        let others: Vec<_> = others.map(|(key, entry)| (key.clone(), entry.clone())).collect();
+        let others: Vec<_> = others
+            .map(|(key, entry)| (key.clone(), entry.clone()))
+            .collect();
         for (key, entry) in others {
             if entry.payload.is_some() {
                 self.forget(key, entry, now);
@@ -747,13 +774,14 @@ impl StateKeeper {
 
     /// Marks whether the program of values has ended. Returns those that have changed.
     fn mark_program(&mut self, program: u32, has_ended: bool) -> Vec<Key> {
-        let is_marked =
-            |entry: &Entry| entry.origin.0 == program && entry.has_ended != has_ended;
+        let is_marked = |entry: &Entry| entry.origin.0 == program && entry.has_ended != has_ended;
         let of_program = self.store.of(&self.place.robot);
-        let of_program = of_program.filter(|(_, entry)| is_marked(entry) && entry.payload.is_some());
+        let of_program =
+            of_program.filter(|(_, entry)| is_marked(entry) && entry.payload.is_some());
         let keys: Vec<_> = of_program.map(|(key, _)| key.clone()).collect();
         for key in &keys {
-            self.store.update(key, true, |entry| entry.has_ended = has_ended);
+            self.store
+                .update(key, true, |entry| entry.has_ended = has_ended);
         }
         keys
     }
@@ -868,7 +896,8 @@ impl StateKeeper {
 
     fn wait(&self) -> Option<Instant> {
         let times = [
-            self.grace.filter(|_| self.is_announced || self.is_open || !self.interests.is_empty()),
+            self.grace
+                .filter(|_| self.is_announced || self.is_open || !self.interests.is_empty()),
             self.polls.next(),
             self.followers.next(),
             self.copies.next(),
@@ -888,7 +917,10 @@ struct Published {
 
 impl Published {
     fn of(entry: &Entry) -> Self {
-        let size = entry.payload.as_ref().map_or(0, |payload| payload.bytes.len());
+        let size = entry
+            .payload
+            .as_ref()
+            .map_or(0, |payload| payload.bytes.len());
         Self {
             payload: entry.payload.clone(),
             qos: match size > BULK {
@@ -934,9 +966,8 @@ impl Driver for StateKeeper {
                     OF_PROGRAMS_ID => self.on_order(query, &payload, now),
                     OF_ROUTERS => self.on_question(query, &payload, now),
                     _ => {
-                        let is_request = attachment.is_some_and(|bytes: Bytes| {
-                            RequestHeader::decode(&bytes).is_some()
-                        });
+                        let is_request = attachment
+                            .is_some_and(|bytes: Bytes| RequestHeader::decode(&bytes).is_some());
                         self.on_get(query, &key, is_request);
                     }
                 }

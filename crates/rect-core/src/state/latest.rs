@@ -58,7 +58,10 @@ impl Latest {
             (Some(_), _) => false,
         };
         let is_asked = |value: &Value| value.topic == self.topic && is_of_robot(value);
-        let value = page.records.into_iter().find(|value| is_asked(value) && !value.is_forgotten);
+        let value = page
+            .records
+            .into_iter()
+            .find(|value| is_asked(value) && !value.is_forgotten);
         if value.is_some() || is_complete || is_own || id == OTHER {
             let robot = self.robot.clone();
             self.next = Next::Finish(value.map(|value| Value {
@@ -101,7 +104,9 @@ impl Driver for Latest {
         match (&self.next, event) {
             (_, Event::Closed) => self.next = Next::Finish(None),
             (Next::Wait, Event::Reply { id, reply }) => {
-                let page = reply.ok().and_then(|sample| read(&sample.payload.bytes).ok());
+                let page = reply
+                    .ok()
+                    .and_then(|sample| read(&sample.payload.bytes).ok());
                 if let Some(page) = page {
                     self.on_page(id, page);
                 }

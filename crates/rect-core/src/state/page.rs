@@ -116,12 +116,12 @@ pub enum Order {
 }
 
 /// The answer to [`Order::Set`] and [`Order::Forget`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Kept {
     /// The position of the value.
     pub at: Position,
-    /// Whether the topic had a value, or has had none that was newer.
-    pub changed: bool,
+    /// A problem that the program should know.
+    pub warning: Option<String>,
 }
 
 /// A part of the answer to a question: values in the order of their numbers.
@@ -193,17 +193,7 @@ impl Value {
 }
 
 /// The fields of a value on the wire: robot and encoding are empty for the router's own and for JSON.
-type Wire = (
-    String,
-    String,
-    u64,
-    Origin,
-    u8,
-    u64,
-    u64,
-    String,
-    Bytes,
-);
+type Wire = (String, String, u64, Origin, u8, u64, u64, String, Bytes);
 
 impl From<Value> for Wire {
     fn from(value: Value) -> Self {
@@ -219,7 +209,9 @@ impl From<Value> for Wire {
             false => value.payload.encoding.as_str().to_owned(),
         };
         (
-            value.robot.map_or_else(String::new, |robot| robot.to_string()),
+            value
+                .robot
+                .map_or_else(String::new, |robot| robot.to_string()),
             value.topic.to_string(),
             value.number,
             value.origin,
@@ -282,7 +274,10 @@ pub(super) fn write<T: Serialize>(document: &T) -> Payload {
 /// Returns the reason why the bytes are not one.
 pub fn read<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
     if bytes.len() > MAX_BYTES {
-        return Err(format!("{} bytes, and at most {MAX_BYTES} are allowed", bytes.len()));
+        return Err(format!(
+            "{} bytes, and at most {MAX_BYTES} are allowed",
+            bytes.len()
+        ));
     }
     ciborium::from_reader(bytes).map_err(|error| error.to_string())
 }
@@ -290,7 +285,10 @@ pub fn read<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
 /// Returns the key expressions of a question, if all are valid and there are not too many.
 pub(super) fn checked(keys: Vec<String>) -> Result<Vec<OwnedKeyExpr>, String> {
     if keys.len() > MAX_KEYS {
-        return Err(format!("{} topics, and at most {MAX_KEYS} are allowed", keys.len()));
+        return Err(format!(
+            "{} topics, and at most {MAX_KEYS} are allowed",
+            keys.len()
+        ));
     }
     keys.into_iter()
         .map(|key| OwnedKeyExpr::autocanonize(key).map_err(|error| error.to_string()))

@@ -71,7 +71,6 @@ impl Polls {
         poll.query.take()
     }
 
-
     /// Returns the programs whose time is up: the questions to end, and the programs that are gone.
     pub(super) fn due(&mut self, now: Instant) -> (Vec<u32>, Vec<u32>) {
         let due = |(program, poll): (&u32, &Poll)| {
@@ -82,7 +81,8 @@ impl Polls {
         for (program, _) in &gone {
             self.0.remove(program);
         }
-        let programs = |due: Vec<(u32, bool)>| due.into_iter().map(|(program, _)| program).collect();
+        let programs =
+            |due: Vec<(u32, bool)>| due.into_iter().map(|(program, _)| program).collect();
         (programs(open), programs(gone))
     }
 
@@ -93,13 +93,21 @@ impl Polls {
 
     /// Returns the topics that programs subscribe to, without those that others include.
     pub(super) fn interests(&self) -> Vec<OwnedKeyExpr> {
-        let mut all: Vec<_> = self.0.values().flat_map(|poll| &poll.keys).cloned().collect();
+        let mut all: Vec<_> = self
+            .0
+            .values()
+            .flat_map(|poll| &poll.keys)
+            .cloned()
+            .collect();
         all.sort_by(|a, b| a.as_str().cmp(b.as_str()));
         all.dedup();
         let is_included = |key: &OwnedKeyExpr| {
             let mut others = all.iter().filter(|other| *other != key);
             others.any(|other| other.includes(key))
         };
-        all.iter().filter(|key| !is_included(key)).cloned().collect()
+        all.iter()
+            .filter(|key| !is_included(key))
+            .cloned()
+            .collect()
     }
 }

@@ -139,9 +139,12 @@ impl ProgramState {
 
     /// Adds a subscription to messages with those key expressions. Returns its number.
     pub fn subscribe(&mut self, keys: &[String], now: Instant) -> u64 {
-        let keys = keys.iter().filter_map(|key| OwnedKeyExpr::autocanonize(key.clone()).ok());
+        let keys = keys
+            .iter()
+            .filter_map(|key| OwnedKeyExpr::autocanonize(key.clone()).ok());
         self.next_subscription += 1;
-        self.subscriptions.insert(self.next_subscription, keys.collect());
+        self.subscriptions
+            .insert(self.next_subscription, keys.collect());
         // It gets the values that others have already.
         self.position = None;
         self.ask_at = Some(now + TOGETHER);
@@ -269,7 +272,10 @@ impl ProgramState {
 
     /// Delivers that values of a robot are forgotten which its router does not have any more.
     fn forget_others(&mut self, robot: &Name, run: u32) {
-        let gone = self.known.iter().filter(|((of, _), known)| of == robot && **known != run);
+        let gone = self
+            .known
+            .iter()
+            .filter(|((of, _), known)| of == robot && **known != run);
         let gone: Vec<_> = gone.map(|(key, _)| key.clone()).collect();
         for key in gone {
             self.known.remove(&key);

@@ -7,7 +7,10 @@ use super::{
 };
 use crate::{
     driver::{Action, Driver, Event, Get, Id, Reaction, Step},
-    message::{payload::Payload, request::{error_from_payload, is_timeout}},
+    message::{
+        payload::Payload,
+        request::{error_from_payload, is_timeout},
+    },
     name::key::KeySpace,
 };
 

@@ -127,7 +127,10 @@ impl Store {
         if payload.bytes.len() > MAX_VALUE {
             return Err(Full::Value(payload.bytes.len()));
         }
-        let previous = self.entries.get(key).and_then(|entry| entry.payload.as_ref());
+        let previous = self
+            .entries
+            .get(key)
+            .and_then(|entry| entry.payload.as_ref());
         let more = size(key, payload);
         let less = previous.map_or(0, |previous| size(key, previous));
         let of_robot = self.sizes.get(&key.0).copied().unwrap_or(0);
@@ -234,7 +237,9 @@ impl Store {
         run: Option<u32>,
         select: impl Fn(&Key) -> bool,
     ) -> u64 {
-        let selected = self.of(robot).filter(|(key, entry)| entry.payload.is_some() && select(key));
+        let selected = self
+            .of(robot)
+            .filter(|(key, entry)| entry.payload.is_some() && select(key));
         let sums = selected.map(|(key, entry)| {
             let kept = entry.kept.filter(|Position(of, _)| Some(*of) == run);
             let number = match run {
@@ -292,7 +297,10 @@ fn size((_, topic): &Key, payload: &Payload) -> usize {
 
 /// Returns the FNV-1a hash of bytes, beginning with a number. It only has to differ, not to resist anybody.
 pub(super) fn hash(bytes: &[u8], number: u64) -> u64 {
-    let all = number.to_le_bytes().into_iter().chain(bytes.iter().copied());
+    let all = number
+        .to_le_bytes()
+        .into_iter()
+        .chain(bytes.iter().copied());
     all.fold(0xCBF2_9CE4_8422_2325, |hash: u64, byte| {
         (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01B3)
     })

@@ -8,7 +8,7 @@ use std::{
 use zenoh_keyexpr::keyexpr;
 
 use super::{
-    keeper::{Item, StateKeeper},
+    keeper::{Disk, Item, StateKeeper},
     page::Order,
     program::ProgramState,
     retain::{Outcome, Retain},
@@ -211,14 +211,8 @@ impl World {
 
     fn start_router(&mut self, robot: usize) {
         let run = self.below(u64::from(u32::MAX)) as u32;
-        let saved = self.disks[robot].clone();
-        let keeper = StateKeeper::new(
-            place(robot),
-            run,
-            saved.as_deref(),
-            Box::new(|_| false),
-            self.now,
-        );
+        let disk = Disk::Saved(self.disks[robot].clone());
+        let keeper = StateKeeper::new(place(robot), run, disk, Box::new(|_| false), self.now);
         self.routers[robot] = Some(Router {
             keeper,
             run,
@@ -227,7 +221,11 @@ impl World {
             queries: HashMap::new(),
         });
         let epoch = self.restart(Node::Router(robot));
-        self.after(ms(0), Happening::Poll(Node::Router(robot), epoch), Vec::new());
+        self.after(
+            ms(0),
+            Happening::Poll(Node::Router(robot), epoch),
+            Vec::new(),
+        );
         self.within(100..300, Happening::Tokens);
         for program in 0..2 {
             if self.programs.contains_key(&(robot, program)) {
@@ -286,7 +284,11 @@ impl World {
                 if self.path(robot, other).is_none() {
                     continue;
                 }
-                visible.insert(format!("rect/{}/@rect/alive/{:08x}", place(other).robot, router.run));
+                visible.insert(format!(
+                    "rect/{}/@rect/alive/{:08x}",
+                    place(other).robot,
+                    router.run
+                ));
                 for declaration in router.declared.values() {
                     if let Declaration::LivelinessToken { key } = declaration {
                         visible.insert(key.clone());
@@ -305,9 +307,8 @@ impl World {
                         continue;
                     };
                     let of = keyexpr::new(key).expect("valid");
-                    let is_seen = |key: &&String| {
-                        of.intersects(keyexpr::new(key.as_str()).expect("valid"))
-                    };
+                    let is_seen =
+                        |key: &&String| of.intersects(keyexpr::new(key.as_str()).expect("valid"));
                     let now: BTreeSet<_> = visible.iter().filter(is_seen).cloned().collect();
                     let before = router.seen.entry(id).or_default();
                     let gone = before.difference(&now).map(|key| (key.clone(), true));
@@ -410,7 +411,11 @@ impl World {
         let order = &self.history[&key];
         let place = |origin| order.iter().position(|one| *one == origin);
         let is_first = program.all.insert((key.clone(), value.origin));
-        assert!(is_first, "{robot} {number}: {key:?} {:?} is repeated", value.origin);
+        assert!(
+            is_first,
+            "{robot} {number}: {key:?} {:?} is repeated",
+            value.origin
+        );
         if let Some(before) = program.got.insert(key.clone(), value.origin) {
             assert!(
                 place(value.origin) > place(before),
@@ -452,10 +457,13 @@ impl World {
                 };
                 for other in 0..ROBOTS {
                     let run = self.routers[other].as_ref().map(|router| router.run);
-                    if let (Some(path), Some(run), true) = (self.path(robot, other), run, robot != other) {
+                    if let (Some(path), Some(run), true) =
+                        (self.path(robot, other), run, robot != other)
+                    {
                         self.bytes += 60 + sample.payload.bytes.len();
                         let wait = self.hop(&path);
-                        let published = Happening::Published(other, run, sample.clone(), path.clone());
+                        let published =
+                            Happening::Published(other, run, sample.clone(), path.clone());
                         self.after(wait, published, path);
                     }
                 }
@@ -466,7 +474,14 @@ impl World {
                     get.selector == place(*other).own(Some(&place(*other).robot), super::STATE)
                 });
                 let payload = get.payload.expect("a payload");
-                self.ask(node, epoch, id, to.expect("a router"), get.selector, payload);
+                self.ask(
+                    node,
+                    epoch,
+                    id,
+                    to.expect("a router"),
+                    get.selector,
+                    payload,
+                );
             }
             Action::Answer { query, answer } => {
                 let Some((from, epoch, id)) = router.queries.remove(&query) else {
@@ -538,9 +553,10 @@ impl World {
             Node::Router(own) | Node::Program(own, _) => own,
         };
         let connected = match from {
-            Node::Program(robot, program) => {
-                self.programs.get(&(robot, program)).is_some_and(|program| program.is_registered)
-            }
+            Node::Program(robot, program) => self
+                .programs
+                .get(&(robot, program))
+                .is_some_and(|program| program.is_registered),
             Node::Router(_) => true,
         };
         let path = self.path(own, to).filter(|_| connected);
@@ -563,7 +579,9 @@ impl World {
     }
 
     fn happen(&mut self, happening: Happening, path: &[(usize, u64)]) {
-        let is_lost = path.iter().any(|&(link, epoch)| self.links[link].1 != epoch);
+        let is_lost = path
+            .iter()
+            .any(|&(link, epoch)| self.links[link].1 != epoch);
         match happening {
             Happening::Poll(node, epoch) => {
                 if self.epoch(node) == epoch {
@@ -585,10 +603,13 @@ impl World {
                 let (node, epoch, id) = from;
                 let router = self.routers[to].as_mut().filter(|router| router.run == run);
                 let queryable = router.as_ref().and_then(|router| {
-                    router.declared.iter().find_map(|(id, declaration)| match declaration {
-                        Declaration::Queryable { key: of, .. } if *of == key => Some(*id),
-                        _ => None,
-                    })
+                    router
+                        .declared
+                        .iter()
+                        .find_map(|(id, declaration)| match declaration {
+                            Declaration::Queryable { key: of, .. } if *of == key => Some(*id),
+                            _ => None,
+                        })
                 });
                 let (Some(router), Some(queryable), false) = (router, queryable, is_lost) else {
                     let ended = Event::Ended { id };
@@ -622,7 +643,9 @@ impl World {
                 }
             }
             Happening::Published(to, run, sample, path) => {
-                let is_lost = path.iter().any(|&(link, epoch)| self.links[link].1 != epoch);
+                let is_lost = path
+                    .iter()
+                    .any(|&(link, epoch)| self.links[link].1 != epoch);
                 let router = self.routers[to].as_ref().filter(|router| router.run == run);
                 let (Some(router), false) = (router, is_lost) else {
                     return;
@@ -632,7 +655,10 @@ impl World {
                     let Declaration::Subscriber { key: of } = declaration else {
                         return None;
                     };
-                    keyexpr::new(of).expect("valid").intersects(key).then_some(*id)
+                    keyexpr::new(of)
+                        .expect("valid")
+                        .intersects(key)
+                        .then_some(*id)
                 });
                 let matches: Vec<_> = matches.collect();
                 for id in matches {
@@ -678,7 +704,14 @@ impl World {
                 self.within(1..50, Happening::Tokens);
                 let (method, address) = ("tcp".to_owned(), String::new());
                 let up = true;
-                self.on_event(node, Event::Link { up, method, address });
+                self.on_event(
+                    node,
+                    Event::Link {
+                        up,
+                        method,
+                        address,
+                    },
+                );
             }
             Happening::CrashProgram => {
                 let (robot, program) = (self.below(3) as usize, self.below(2) as usize);
@@ -766,7 +799,11 @@ impl World {
                 }
                 Step::Wait(Some(at)) => {
                     let wait = at.saturating_duration_since(now);
-                    self.after(wait, Happening::PollRetain(robot, number, epoch), Vec::new());
+                    self.after(
+                        wait,
+                        Happening::PollRetain(robot, number, epoch),
+                        Vec::new(),
+                    );
                     return;
                 }
                 Step::Finished(outcome) => {
@@ -829,7 +866,10 @@ fn keys(robot: &Name) -> zenoh_keyexpr::OwnedKeyExpr {
 
 #[test]
 fn all_programs_have_the_last_values_after_cuts_and_crashes() {
-    let first: u64 = std::env::var("RECT_SEED").ok().and_then(|seed| seed.parse().ok()).unwrap_or(0);
+    let first: u64 = std::env::var("RECT_SEED")
+        .ok()
+        .and_then(|seed| seed.parse().ok())
+        .unwrap_or(0);
     for seed in first..first + 1000 {
         let mut world = World::with_faults(seed);
         let caught = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {

@@ -102,6 +102,10 @@ impl<T> Publisher<T> {
     /// send it.
     pub async fn publish(&self, value: impl ValueOf<T>) -> Result<(), Error> {
         let payload = self.robot.payload(value.payload()?)?;
+        if let Some(retention) = self.robot.retention() {
+            let topic = self.key.topic.clone();
+            return self.robot.retain(retention, topic, payload).await;
+        }
         let put = (self.robot).put(&self.publication, payload, Duration::ZERO)?;
         put.done().await
     }

@@ -34,6 +34,7 @@ use super::{
     recipients::Recipients,
     router_links::RouterLinks,
     shared::NoItems,
+    state::{keep_own, KeptState, Retention, State},
     urgency_sessions::UrgencySessions,
     warnings::{WarningSink, Warnings},
 };
@@ -53,6 +54,8 @@ pub struct Robot {
     pub(super) timeout: Duration,
     /// Whether requests are repeated.
     pub(super) retries: bool,
+    /// Whether messages are retained.
+    retention: Option<Retention>,
 }
 
 pub(super) struct Inner {
@@ -74,6 +77,10 @@ pub(super) struct Inner {
     /// The requests that this program carries out at most once.
     pub(super) once: Once<Query>,
     recipients: OnceCell<Recipients>,
+    /// The retained messages of this program.
+    pub(super) state: Arc<State>,
+    /// The state of the robot; `None` if its router keeps it.
+    _kept: Option<KeptState>,
     /// The presence of this program.
     pub(super) program: Running<ProgramPresence>,
     /// The presence of the robot; `None` if its router has one.
@@ -104,6 +111,8 @@ impl Robot {
             (None, Some(links))
         };
         let instance: u32 = rand::random();
+        let kept = direct.then(|| keep_own(&session, &place)).transpose()?;
+        let state = State::new(&session, &place, instance);
         let request_ids = RequestIds::new(Instance(instance), program.is_some());
         let once = Once::new(place.robot.clone(), Instance(instance));
         let program = ProgramPresence::new(place.clone(), program, instance, direct);
@@ -126,6 +135,8 @@ impl Robot {
             request_ids,
             once,
             recipients: OnceCell::new(),
+            state,
+            _kept: kept,
             direct,
             program,
             _presence: presence,
@@ -137,6 +148,7 @@ impl Robot {
             lifetime: None,
             timeout: Duration::from_millis(DEFAULT_TIMEOUT_MS.into()),
             retries: false,
+            retention: None,
         })
     }
 
@@ -296,7 +308,8 @@ impl Robot {
     ///
     /// # Errors
     /// [`Error::Topic`] if the topic is invalid, [`Error::Payload`] if the value cannot be serialized, [`Error::Codec`] if
-    /// the codec of this handle does not support it, and [`Error::Closed`] if the session is closed.
+    /// the codec of this handle does not support it, and [`Error::Closed`] if the session is closed. A handle that
+    /// [retains](Self::retained): [`Error::NotRetained`].
     ///
     /// # Cancel safety
     /// If the future is dropped after it was polled, the message may still be published: another thread may be about to
@@ -306,8 +319,11 @@ impl Robot {
         topic: impl TryInto<Topic, Error: Into<Error>>,
         value: impl ToPayload,
     ) -> Result<(), Error> {
-        self.send_to(valid(topic)?, None, self.payload(value)?)
-            .await
+        let (topic, payload) = (valid(topic)?, self.payload(value)?);
+        match self.retention {
+            Some(retention) => self.retain(retention, topic, payload).await,
+            None => self.send_to(topic, None, payload).await,
+        }
     }
 
     /// Sends `value` on `topic` to one robot only.
@@ -365,6 +381,22 @@ impl Robot {
             None => payload,
         };
         Ok(payload.sendable()?)
+    }
+
+    /// Publishes a message that is not retained.
+    pub(super) async fn send_plain(&self, topic: Topic, payload: Payload) -> Result<(), Error> {
+        self.send_to(topic, None, payload).await
+    }
+
+    pub(super) fn with_retention(&self, retention: Retention) -> Self {
+        Self {
+            retention: Some(retention),
+            ..self.clone()
+        }
+    }
+
+    pub(super) fn retention(&self) -> Option<Retention> {
+        self.retention
     }
 
     async fn send_to(

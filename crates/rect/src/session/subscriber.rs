@@ -15,7 +15,7 @@ use rect_core::{
     message::{
         counters::AtomicCounters,
         gaps::SenderCounts,
-        payload::{FromPayload, Payload},
+        payload::{FromPayload, Payload, PayloadError},
         queue::{Queue, WhenFull, DEFAULT_CAPACITY},
         Delivery, Inbound, Message, Undelivered,
     },
@@ -32,6 +32,7 @@ use super::{
     receive_queue::{QueueWriter, ReceiveQueue},
     robot::Robot,
     router_links::RouterLinks,
+    state::{Receiver, Receiving},
     warnings::Warnings,
 };
 use crate::error::{valid, Error};
@@ -67,6 +68,8 @@ pub struct Subscriber<T: FromPayload = Payload> {
     inbound: Arc<Mutex<Inbound>>,
     next: NextItem<Message<T::Value>>,
     _declared: Vec<zenoh::pubsub::Subscriber<()>>,
+    /// The retained messages.
+    _receiving: Receiving,
 }
 
 /// The parts of a subscriber that a message passes through when the program reads it.
@@ -152,7 +155,15 @@ impl Robot {
         let place = self.inner.place.clone();
         let queue = ReceiveQueue::new(Queue::new(queue.capacity, queue.when_full));
         let inbound = Inbound::new(place, selected.clone(), Instant::now());
+        let inbound = inbound.following(self.inner.state.following()?);
         let inbound = Arc::new(Mutex::new(inbound));
+        let receiver = Receiver {
+            inbound: inbound.clone(),
+            queue: Arc::downgrade(&queue),
+            counting: self.inner.counting.clone(),
+            links: self.inner.router_links.as_ref().map(RouterLinks::table),
+        };
+        let receiving = selected.clone();
         let declare = |(subscription, Selected { key, .. })| {
             let (writer, inbound) = (QueueWriter::new(&queue), inbound.clone());
             let counting = self.inner.counting.clone();
@@ -181,6 +192,8 @@ impl Robot {
         let declared = selected.into_iter().enumerate().map(declare);
         Ok(Subscriber {
             _declared: declared.collect::<Result<_, _>>()?,
+            // The subscriptions precede it, so that no change is missed between them.
+            _receiving: self.inner.state.receive(&receiving, receiver)?,
             reading: Reading {
                 queue,
                 decoder: self.inner.decoder.clone(),
@@ -325,7 +338,8 @@ impl Reading {
     /// Converts the value of a decoded message.
     fn typed<T: FromPayload>(&self, message: Message) -> Message<T::Value> {
         let message = message.typed::<T>();
-        if let Some(problem) = message.problem() {
+        let forgotten = |problem: &&PayloadError| matches!(problem, PayloadError::Forgotten);
+        if let Some(problem) = message.problem().filter(|problem| !forgotten(problem)) {
             let Message { sender, topic, .. } = &message;
             self.warnings.on_problem(sender, topic, problem);
         }

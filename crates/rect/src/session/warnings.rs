@@ -19,6 +19,8 @@ pub(super) struct Warnings {
     counting: Arc<AtomicCounters>,
     problems: Mutex<Problems>,
     names: Mutex<UsedNames>,
+    /// The last problem of the router with a retained value.
+    state: Mutex<Option<String>>,
 }
 
 impl Warnings {
@@ -27,6 +29,7 @@ impl Warnings {
             counting,
             problems: Mutex::default(),
             names: Mutex::default(),
+            state: Mutex::default(),
         })
     }
 
@@ -42,6 +45,13 @@ impl Warnings {
     /// Returns the check of a name that the program uses, if there is to be one.
     pub(super) fn name_check(&self, place: &KeySpace, used: Used) -> Option<NameCheck> {
         locked(&self.names).check(place, used, Instant::now())
+    }
+
+    /// Warns of a problem that the router has with a retained value.
+    pub(super) fn on_state(&self, text: &str) {
+        if locked(&self.state).replace(text.to_owned()).as_deref() != Some(text) {
+            warn(text);
+        }
     }
 
     /// Warns of a topic or pattern that is probably misspelled.

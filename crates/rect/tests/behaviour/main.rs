@@ -11,6 +11,7 @@ mod joining;
 mod program;
 mod replies;
 mod request;
+mod retained;
 mod retry;
 mod session;
 mod state;
