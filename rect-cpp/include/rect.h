@@ -100,6 +100,8 @@ typedef enum rect_code {
     RECT_CODE_SERVICE_REFUSED = 26,
     // The robot to which a message is sent is not reachable. The text lists the reachable ones. Check the name, or wait for the robot.
     RECT_CODE_NOT_REACHABLE = 27,
+    // The value of a retained topic is not kept; the text states why. It was published, unless a program serves the topic.
+    RECT_CODE_NOT_RETAINED = 28,
 } rect_code;
 
 // The state of a connection.
@@ -596,14 +598,23 @@ typedef struct rect_message {
     uint32_t missed;
     // Time until the message expires, in milliseconds, when it was delivered. -1: it does not expire.
     int64_t expires_in_ms;
+    // Of a retained message, how long ago it was published, in seconds, by the clock of its robot's router; it does not depend on the
+    // time of day. Otherwise NaN.
+    double age_s;
     // The urgency: a `rect_urgency`.
     uint32_t urgency;
     // Whether the message arrived after one with a higher sequence number of the same publisher.
     bool late;
     // Whether the message repeats one of a recording. `sent_at_ms` is the time of that one.
     bool replayed;
+    // Whether the topic is retained (`rect_robot_retained`).
+    bool retained;
+    // Whether the program that published a retained message has ended.
+    bool has_ended;
+    // Whether the robot has forgotten the retained topic: there is no value any more.
+    bool is_forgotten;
     // The reason why the payload could not be decoded and is as it arrived: it is damaged, or its codec or dictionary is
-    // not available. Empty if the payload is complete.
+    // not available. Also set if the topic was forgotten, so that there is no payload. Otherwise empty.
     struct rect_text problem;
     // The method of the link over which the message arrived, e.g. `ble`. Empty if the sender has several links with this
     // robot, or if the method is not known.
@@ -1108,8 +1119,8 @@ enum rect_code rect_picture_read(const struct rect_payload *payload,
                                  struct rect_picture *picture,
                                  struct rect_error *error);
 
-// Creates a publisher of `topic`, with the urgency and codec of the robot's handle, and writes it to `publisher`. It can wait
-// for a subscriber, and lets a program skip work while nobody subscribes. `rect_robot_publish` needs no publisher.
+// Creates a publisher of `topic`, with the urgency, codec, expiry and retention of the robot's handle, and writes it to `publisher`. It
+// can wait for a subscriber, and lets a program skip work while nobody subscribes. `rect_robot_publish` needs no publisher.
 //
 // Returns `RECT_CODE_TOPIC` if the topic is invalid. May be called on any thread.
 enum rect_code rect_robot_publisher(struct rect_robot robot,
@@ -1461,6 +1472,57 @@ enum rect_code rect_request_refuse(uint64_t request,
 // call begins to observe the requester, which sends nothing on the air. Returns false after the callback has returned. May be called on
 // any thread.
 bool rect_request_is_wanted(uint64_t request);
+
+// Creates a handle of the same robot that retains what it publishes, and writes it to `derived`: the router of this robot keeps the
+// last value of each topic, and programs that start later, or whose link was interrupted, receive it.
+//
+// A subscription receives the value first, then each change, never one twice or an older one after a newer one
+// (`rect_message.retained`). The value stays when this program ends. Requests, streams and messages to one robot are not affected,
+// and retained messages do not expire. Both handles share the session, and both must be dropped.
+//
+// `rect_robot_publish` and `rect_publisher_publish` then wait for the router, and return `RECT_CODE_NOT_RETAINED` if the value is not
+// kept: it has more than 64 kB, the values of the robot have more than 256 kB, or no router keeps values. May be called on any thread.
+enum rect_code rect_robot_retained(struct rect_robot robot,
+                                   struct rect_robot *derived,
+                                   struct rect_error *error);
+
+// Creates a handle as `rect_robot_retained` does, whose values also survive a restart of the robot, and writes it to `derived`. The
+// router writes each value to its disk before it is published: for values that change rarely, such as a calibration.
+//
+// May be called on any thread.
+enum rect_code rect_robot_retained_on_disk(struct rect_robot robot,
+                                           struct rect_robot *derived,
+                                           struct rect_error *error);
+
+// Writes the last value of a retained topic of the robot `sender` to `message`. If that robot retains none, is not reachable, or does
+// not answer within `timeout_ms`, the message is empty and its `id` is 0.
+//
+// ```c
+// must(rect_robot_latest(robot, "wombat-2", "mode", 10000, &message, &error));
+// if (message.id != 0) {
+//     printf("%.*s\n", (int)message.payload.len, (const char *)message.payload.data);
+// }
+// rect_drop(&message.id, NULL);
+// ```
+//
+// The answer comes from the router of this robot if one of its programs subscribes to the topic, and otherwise from that of `sender`.
+//
+// Returns `RECT_CODE_NAME` or `RECT_CODE_TOPIC` if an argument is invalid. May be called on any thread.
+enum rect_code rect_robot_latest(struct rect_robot robot,
+                                 const char *sender,
+                                 const char *topic,
+                                 uint32_t timeout_ms,
+                                 struct rect_message *message,
+                                 struct rect_error *error);
+
+// Forgets a retained topic of this robot. Subscribers receive that as a message without a value (`rect_message.is_forgotten`).
+// Nothing happens if the topic has no value.
+//
+// Returns `RECT_CODE_TOPIC` if the topic is invalid, and `RECT_CODE_NOT_RETAINED` if no router keeps values. May be called on any
+// thread; blocks until the router answers.
+enum rect_code rect_robot_forget(struct rect_robot robot,
+                                 const char *topic,
+                                 struct rect_error *error);
 
 // Creates a stream of which only the newest frame matters (a slow link drops older ones), and writes it to `stream`.
 // `options` may be NULL for the defaults.

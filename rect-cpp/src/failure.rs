@@ -70,6 +70,8 @@ pub enum Code {
     ServiceRefused = 26,
     /// The robot to which a message is sent is not reachable. The text lists the reachable ones. Check the name, or wait for the robot.
     NotReachable = 27,
+    /// The value of a retained topic is not kept; the text states why. It was published, unless a program serves the topic.
+    NotRetained = 28,
 }
 
 /// The reason why a call failed.
@@ -151,6 +153,7 @@ fn code(error: &Error) -> Code {
         Error::WrongRobot(_) => Code::WrongRobot,
         Error::Option { .. } => Code::Option,
         Error::NotReachable { .. } => Code::NotReachable,
+        Error::NotRetained { .. } => Code::NotRetained,
         Error::NoService { .. } => Code::NoService,
         Error::ServiceRefused { .. } => Code::ServiceRefused,
         Error::Interrupted { .. } => Code::Interrupted,

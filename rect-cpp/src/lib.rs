@@ -31,6 +31,7 @@ mod reply;
 mod robot;
 mod sender_counts;
 mod service;
+mod state;
 mod stream;
 mod subscriber;
 mod subscription;

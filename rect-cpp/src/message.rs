@@ -8,7 +8,7 @@ use crate::{
     handle::{self, Object},
     payload::PayloadView,
     text::{number, Text},
-    urgency::URGENCIES,
+    urgency::{Urgency, URGENCIES},
 };
 
 /// A message from another robot, or from another program of the same robot.
@@ -36,18 +36,53 @@ pub struct Message {
     pub missed: u32,
     /// Time until the message expires, in milliseconds, when it was delivered. -1: it does not expire.
     pub expires_in_ms: i64,
+    /// Of a retained message, how long ago it was published, in seconds, by the clock of its robot's router; it does not depend on the
+    /// time of day. Otherwise NaN.
+    pub age_s: f64,
     /// The urgency: a `rect_urgency`.
     pub urgency: u32,
     /// Whether the message arrived after one with a higher sequence number of the same publisher.
     pub late: bool,
     /// Whether the message repeats one of a recording. `sent_at_ms` is the time of that one.
     pub replayed: bool,
+    /// Whether the topic is retained (`rect_robot_retained`).
+    pub retained: bool,
+    /// Whether the program that published a retained message has ended.
+    pub has_ended: bool,
+    /// Whether the robot has forgotten the retained topic: there is no value any more.
+    pub is_forgotten: bool,
     /// The reason why the payload could not be decoded and is as it arrived: it is damaged, or its codec or dictionary is
-    /// not available. Empty if the payload is complete.
+    /// not available. Also set if the topic was forgotten, so that there is no payload. Otherwise empty.
     pub problem: Text,
     /// The method of the link over which the message arrived, e.g. `ble`. Empty if the sender has several links with this
     /// robot, or if the method is not known.
     pub method: Text,
+}
+
+impl Message {
+    /// Returns the absence of a message.
+    pub fn none() -> Self {
+        Self {
+            id: 0,
+            sender: Text::NONE,
+            recipient: Text::NONE,
+            topic: Text::NONE,
+            payload: PayloadView::EMPTY,
+            sent_at_ms: -1,
+            sequence: -1,
+            missed: 0,
+            expires_in_ms: -1,
+            age_s: f64::NAN,
+            urgency: Urgency::Normal as u32,
+            late: false,
+            replayed: false,
+            retained: false,
+            has_ended: false,
+            is_forgotten: false,
+            problem: Text::NONE,
+            method: Text::NONE,
+        }
+    }
 }
 
 /// A message together with the text that its C form points to.
@@ -68,6 +103,7 @@ pub fn problem(message: &rect::Message) -> Option<String> {
 /// Returns the C form of a message, which is valid as long as the message and `problem`.
 pub fn view(message: &rect::Message, problem: Option<&str>) -> Message {
     let sent_at_ms = message.sent_at.map(ms_since_1970);
+    let retained = message.retained;
     Message {
         id: 0,
         sender: Text::of(message.sender.as_str()),
@@ -81,9 +117,13 @@ pub fn view(message: &rect::Message, problem: Option<&str>) -> Message {
             let rest = at.saturating_duration_since(Instant::now());
             i64::try_from(rest.as_millis()).unwrap_or(i64::MAX)
         }),
+        age_s: retained.map_or(f64::NAN, |retained| retained.age.as_secs_f64()),
         urgency: number(&URGENCIES, &message.urgency),
         late: message.late,
         replayed: message.replayed,
+        retained: retained.is_some(),
+        has_ended: retained.is_some_and(|retained| retained.has_ended),
+        is_forgotten: retained.is_some_and(|retained| retained.is_forgotten),
         problem: Text::of_some(problem),
         method: Text::of_some(message.method.as_deref()),
     }

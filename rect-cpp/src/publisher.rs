@@ -23,8 +23,8 @@ impl Waitable for rect::Publisher {
     const KIND: &'static str = "publisher";
 }
 
-/// Creates a publisher of `topic`, with the urgency and codec of the robot's handle, and writes it to `publisher`. It can wait
-/// for a subscriber, and lets a program skip work while nobody subscribes. `rect_robot_publish` needs no publisher.
+/// Creates a publisher of `topic`, with the urgency, codec, expiry and retention of the robot's handle, and writes it to `publisher`. It
+/// can wait for a subscriber, and lets a program skip work while nobody subscribes. `rect_robot_publish` needs no publisher.
 ///
 /// Returns `RECT_CODE_TOPIC` if the topic is invalid. May be called on any thread.
 #[no_mangle]

@@ -66,7 +66,8 @@ impl RobotHandle {
         handle::get(self.id)
     }
 
-    fn of(program: Program) -> Self {
+    /// Returns a handle of the program.
+    pub fn of(program: Program) -> Self {
         let id = handle::insert(program);
         Self { id }
     }

@@ -1,4 +1,4 @@
-/* Tests the C interface in C99: messages, services, streams and transfers. At the end, no handle remains.
+/* Tests the C interface in C99: messages, retained ones, services, streams and transfers. At the end, no handle remains.
  *
  *     ctest --preset default -R c99
  */
@@ -117,6 +117,36 @@ static void messages(rect_robot one, rect_robot two) {
     must(rect_drop(&echoing.id, &error), "drop");
 }
 
+/* The last value of a retained topic is received by a program that subscribes later, until the topic is forgotten. */
+static void retained(rect_robot one, rect_robot two) {
+    rect_robot modes;
+    rect_subscriber subscriber;
+    rect_message message;
+    static char large[65537];
+    const rect_payload automatic = rect_payload_text("auto");
+    const rect_payload too_large = rect_payload_bytes(large, sizeof large);
+    must(rect_robot_latest(two, "wombat-1", "mode", TIMEOUT_MS, &message, &error), "latest");
+    check(message.id == 0 && message.topic.len == 0, "there is no value");
+    must(rect_drop(&message.id, &error), "drop");
+    must(rect_robot_retained(one, &modes, &error), "retained");
+    must(rect_robot_publish(modes, "mode", &automatic, &error), "publish");
+    must(rect_robot_subscribe(two, "wombat-1/mode", NULL, &subscriber, &error), "subscribe");
+    must(rect_subscriber_next(subscriber, TIMEOUT_MS, &message, &error), "next");
+    check(has_text(message.payload, "auto") && message.retained && message.age_s >= 0, "the last value is received");
+    check(!message.has_ended && !message.is_forgotten, "the value is current");
+    must(rect_drop(&message.id, &error), "drop");
+    must(rect_robot_latest(two, "wombat-1", "mode", TIMEOUT_MS, &message, &error), "latest");
+    check(message.id != 0 && has_text(message.payload, "auto") && message.retained, "there is a value");
+    must(rect_drop(&message.id, &error), "drop");
+    check(rect_robot_publish(modes, "map", &too_large, &error) == RECT_CODE_NOT_RETAINED, "a large value is not kept");
+    must(rect_robot_forget(one, "mode", &error), "forget");
+    must(rect_subscriber_next(subscriber, TIMEOUT_MS, &message, &error), "next");
+    check(message.retained && message.is_forgotten && message.payload.len == 0, "the topic is forgotten");
+    must(rect_drop(&message.id, &error), "drop");
+    must(rect_drop(&subscriber.id, &error), "drop");
+    must(rect_drop(&modes.id, &error), "drop");
+}
+
 /* The causes are those of the last error, if it has any. */
 static void causes(void) {
     const char *listen[] = {"carrier-pigeon/roof"};
@@ -202,6 +232,7 @@ int main(void) {
     causes();
     connect_pair(&one, &two);
     messages(one, two);
+    retained(one, two);
     services(one, two);
     streams(one, two);
     transfers(one, two);

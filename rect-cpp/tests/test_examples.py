@@ -80,6 +80,19 @@ def test_rescue(name: str, examples: Path, tmp_path: Path) -> None:
         two.until("wombat-1: 80 percent")
 
 
+@pytest.mark.parametrize("name", ["state", "state_c"])
+def test_state(name: str, examples: Path, tmp_path: Path) -> None:
+    with Example(examples / name, "wombat-1", "auto", folder=tmp_path) as one:
+        one.until("mode: none -> auto")
+    with Example(examples / name, "wombat-2", folder=tmp_path) as two:
+        two.until("wombat-1: auto, for ")
+        with Example(examples / name, "wombat-1", "manual", folder=tmp_path) as one:
+            one.until("mode: auto -> manual")
+            two.until("wombat-1: manual, for 0")
+        with Example(examples / name, "wombat-1", "none", folder=tmp_path):
+            two.until("wombat-1: no mode")
+
+
 def test_teleoperation(examples: Path, tmp_path: Path) -> None:
     with Example(examples / "teleoperation", "wombat-1", folder=tmp_path) as one:
         one.until("no commands, stopping: 0 0")
@@ -122,7 +135,7 @@ def test_wombat(examples: Path, tmp_path: Path) -> None:
         one.until("motors off")
 
 
-@pytest.mark.parametrize("name", ["hello", "telemetry", "teleoperation", "camera", "transfer", "request", "wombat"])
+@pytest.mark.parametrize("name", ["hello", "telemetry", "teleoperation", "camera", "transfer", "request", "state", "wombat"])
 def test_examples_have_less_than_80_lines(name: str) -> None:
     assert len((_REPOSITORY / "examples" / name / "main.cpp").read_text().splitlines()) < 80
 

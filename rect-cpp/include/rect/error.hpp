@@ -80,6 +80,8 @@ enum class Code {
     service_refused = RECT_CODE_SERVICE_REFUSED,
     /// The robot to which a message is sent is not reachable. The text lists the reachable ones. Check the name, or wait for the robot.
     not_reachable = RECT_CODE_NOT_REACHABLE,
+    /// The value of a retained topic is not kept; the text states why. It was published, unless a program serves the topic.
+    not_retained = RECT_CODE_NOT_RETAINED,
 };
 
 /// The reason why a call failed.

@@ -58,6 +58,16 @@ inline rect_queue_options raw(const QueueOptions& queue) noexcept {
 }  // namespace detail
 /// @endcond
 
+/// What is known about the value of a retained topic.
+struct Retained {
+    /// How long ago it was published, by the clock of its robot's router; it does not depend on the time of day.
+    std::chrono::duration<double> age;
+    /// Whether the program that published it has ended.
+    bool has_ended;
+    /// Whether its robot has forgotten the topic: there is no value any more.
+    bool is_forgotten;
+};
+
 /// A message from another robot, or from another program of the same robot. It is valid until the callback that receives it
 /// returns; copy whatever is needed later.
 class MessageView {
@@ -101,8 +111,15 @@ public:
     [[nodiscard]] bool late() const noexcept { return raw_.late; }
     /// Returns whether the message repeats one of a recording. sent_at() is the time of that one.
     [[nodiscard]] bool replayed() const noexcept { return raw_.replayed; }
+    /// Returns how old the value of a retained topic is, and whether it was forgotten; nothing if the topic is not retained.
+    [[nodiscard]] std::optional<Retained> retained() const noexcept {
+        if (!raw_.retained) {
+            return std::nullopt;
+        }
+        return Retained{std::chrono::duration<double>(raw_.age_s), raw_.has_ended, raw_.is_forgotten};
+    }
     /// Returns the reason why the payload could not be decoded and is as it arrived: it is damaged, or its codec or
-    /// dictionary is not available. Empty if the payload is complete.
+    /// dictionary is not available. Also set if the topic was forgotten, so that there is no payload. Otherwise empty.
     [[nodiscard]] std::string_view problem() const noexcept { return detail::view(raw_.problem); }
     /// Returns the method of the link over which the message arrived, e.g. `ble`. Empty if the sender has several links with
     /// this robot, or if the method is not known.

@@ -5,6 +5,7 @@
 
 #include <chrono>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <type_traits>
 #include <utility>
@@ -85,6 +86,25 @@ public:
         return derive([&](rect_robot* derived, rect_error* error) { return rect_robot_retrying(raw(), derived, error); });
     }
 
+    /// Returns a handle of the same robot that retains what it publishes: the router of this robot keeps the last value of each topic,
+    /// and programs that start later, or whose link was interrupted, receive it.
+    ///
+    /// A subscription receives the value first, then each change, never one twice or an older one after a newer one
+    /// (MessageView::retained). The value stays when this program ends. Requests, streams and messages to one robot are not affected,
+    /// and retained messages do not expire.
+    ///
+    /// `publish` then waits for the router, and fails with Code::not_retained if the value is not kept: it has more than 64 kB, the
+    /// values of the robot have more than 256 kB, or no router keeps values.
+    [[nodiscard]] expected<Robot> retained() const {
+        return derive([&](rect_robot* derived, rect_error* error) { return rect_robot_retained(raw(), derived, error); });
+    }
+
+    /// Returns a handle as `retained` does, whose values also survive a restart of the robot. The router writes each value to its disk
+    /// before it is published: for values that change rarely, such as a calibration.
+    [[nodiscard]] expected<Robot> retained_on_disk() const {
+        return derive([&](rect_robot* derived, rect_error* error) { return rect_robot_retained_on_disk(raw(), derived, error); });
+    }
+
     /// Returns a handle of the same robot that encodes the payloads of its messages and requests:
     /// `robot.with_codec("zstd:9")`. Receivers decode them automatically. Fails with Code::codec if the codec is unknown.
     [[nodiscard]] expected<Robot> with_codec(const Text& codec) const {
@@ -111,8 +131,32 @@ public:
         });
     }
 
-    /// Creates a publisher of `topic`, with the urgency and codec of this handle: a PublisherOf with `publisher<Battery>("battery")`,
-    /// otherwise a Publisher of any values. Fails with Code::topic if the topic is invalid.
+    /// Returns the last value of a retained topic of the robot `sender`: a MessageOf with `latest<Battery>(...)`, otherwise a Message.
+    /// Nothing if that robot retains none, is not reachable, or does not answer within `timeout`. The answer comes from the router of this
+    /// robot if one of its programs subscribes to the topic, and otherwise from that of `sender`. Fails with Code::name or Code::topic if
+    /// an argument is invalid.
+    template <class T = void>
+    [[nodiscard]] auto latest(const Text& sender, const Text& topic, Milliseconds timeout = default_timeout) const
+        -> expected<std::optional<typename detail::Typed<T>::Message>> {
+        using Typed = detail::Typed<T>;
+        using Found = std::optional<typename Typed::Message>;
+        rect_message message;
+        rect_error error;
+        const auto code = rect_robot_latest(raw(), sender.c_str(), topic.c_str(), detail::ms(timeout), &message, &error);
+        return detail::value_or_error<Found>(
+            code, error, [&] { return message.id == 0 ? Found() : Found(Typed::message(message, raw())); });
+    }
+
+    /// Forgets a retained topic of this robot. Subscribers receive that as a message without a value (Retained::is_forgotten). Nothing
+    /// happens if the topic has no value. Fails with Code::topic if the topic is invalid, and with Code::not_retained if no router keeps
+    /// values.
+    expected<void> forget(const Text& topic) const {
+        rect_error error;
+        return detail::ok_or_error(rect_robot_forget(raw(), topic.c_str(), &error), error);
+    }
+
+    /// Creates a publisher of `topic`, with the urgency, codec, expiry and retention of this handle: a PublisherOf with
+    /// `publisher<Battery>("battery")`, otherwise a Publisher of any values. Fails with Code::topic if the topic is invalid.
     template <class T = void>
     [[nodiscard]] expected<typename detail::Typed<T>::Publisher> publisher(const Text& topic) const {
         using Created = typename detail::Typed<T>::Publisher;

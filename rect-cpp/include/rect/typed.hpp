@@ -24,7 +24,7 @@ class MessageOf : public Message {
 public:
     /// Takes ownership of a message of rect.h, and reads its value. `robot` counts it if it does not fit.
     MessageOf(const rect_message& raw, rect_robot robot) : Message(raw), value_(read()) {
-        if (!value_) {
+        if (!value_ && !is_forgotten()) {
             const std::string sender(this->sender());
             const std::string topic(this->topic());
             // Fails only if the session was closed.
@@ -32,8 +32,8 @@ public:
         }
     }
 
-    /// Returns the value, or the problem why there is none: Code::payload if it does not fit `T`, and Code::codec if the payload
-    /// could not be decoded.
+    /// Returns the value, or the problem why there is none: Code::payload if it does not fit `T` or its topic was forgotten, and
+    /// Code::codec if the payload could not be decoded.
     [[nodiscard]] const expected<T>& value() const& noexcept { return value_; }
     /// Moves the value out of a message that is not needed any more.
     [[nodiscard]] expected<T> value() && { return std::move(value_); }
@@ -43,9 +43,12 @@ public:
     }
 
 private:
+    [[nodiscard]] bool is_forgotten() const noexcept { return this->raw().is_forgotten; }
+
     [[nodiscard]] expected<T> read() const {
         const auto problem = Message::problem();
-        return problem.empty() ? payload.template value<T>() : detail::failed(Code::codec, std::string(problem));
+        const auto code = is_forgotten() ? Code::payload : Code::codec;
+        return problem.empty() ? payload.template value<T>() : detail::failed(code, std::string(problem));
     }
 
     expected<T> value_;
