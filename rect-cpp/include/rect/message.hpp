@@ -58,7 +58,7 @@ inline rect_queue_options raw(const QueueOptions& queue) noexcept {
 }  // namespace detail
 /// @endcond
 
-/// What is known about the value of a retained topic.
+/// The meaning of a retained message beside its value.
 struct Retained {
     /// How long ago it was published, by the clock of its robot's router; it does not depend on the time of day.
     std::chrono::duration<double> age;
