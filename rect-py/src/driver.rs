@@ -18,6 +18,7 @@ use std::{
     time::Instant,
 };
 
+use bytes::Bytes;
 use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyTuple};
 use rect_core::driver::{self, Event, Id, QueryId};
 
@@ -147,6 +148,8 @@ impl Driver {
     }
 
     /// Handles a query that arrived at a queryable. `query` is the number that the executor gave it.
+    #[pyo3(signature = (id, query, bytes, encoding, key=String::new(), attachment=None))]
+    #[allow(clippy::too_many_arguments)] // The fields of a query.
     fn on_query(
         &self,
         py: Python<'_>,
@@ -154,10 +157,17 @@ impl Driver {
         query: u64,
         bytes: PyBackedBytes,
         encoding: &str,
+        key: String,
+        attachment: Option<PyBackedBytes>,
     ) -> PyResult<Reaction> {
-        let payload = payload(bytes, encoding);
-        let (id, query) = (Id(id), QueryId(query));
-        self.on_event(py, Event::Query { id, query, payload })
+        let event = Event::Query {
+            id: Id(id),
+            query: QueryId(query),
+            key,
+            payload: payload(bytes, encoding),
+            attachment: attachment.map(Bytes::from_owner),
+        };
+        self.on_event(py, event)
     }
 
     /// Handles that a publisher has its first subscriber, or has none any more.

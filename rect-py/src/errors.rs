@@ -75,7 +75,7 @@ impl Raised for PayloadError {
             Self::Codec(codec) => return codec.raised(),
             Self::Write { .. } => "write",
             Self::Encoding(_) => "encoding",
-            Self::Mismatch { .. } => "other",
+            Self::Mismatch { .. } | Self::Forgotten => "other",
             Self::Read { .. } => "read",
             Self::Type(_) => "mismatch",
         };

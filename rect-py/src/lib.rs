@@ -24,6 +24,7 @@ mod request;
 mod retry;
 mod router;
 mod settings;
+mod state;
 mod stream;
 mod transfer;
 mod urgency;
@@ -65,6 +66,7 @@ mod _rect {
         retry::{retried_request, Execution, Once},
         router::{check_router, default_login_file, robot_of_router, JoinAttempts},
         settings::{default_router, session_settings},
+        state::{latest, state_keeper, KeptValue, ProgramState, RetainedValue, StateOrder},
         stream::{FrameReader, Job, StreamPublish, StreamWatch},
         transfer::{OfferedTransfer, TransferPull, TransferPush, TransferReception},
         urgency::{choose_session, qos},

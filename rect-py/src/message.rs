@@ -9,7 +9,12 @@ use pyo3::prelude::*;
 use rect_core::{
     clock::unix::ms_since_1970,
     message::{self, encoding::Encoding, payload::Payload, Delivery, Message, Undelivered},
-    name::{key::Selected, topic::Pattern, Name},
+    name::{
+        key::{Audience, Selected},
+        topic::Pattern,
+        Name,
+    },
+    state::{page::Value, program::Following},
 };
 
 use crate::{
@@ -89,6 +94,23 @@ impl Inbound {
         delivered.map(MessageMetadata)
     }
 
+    /// Returns the key expressions of messages to all robots.
+    pub fn keys_of_all(&self) -> Vec<String> {
+        let inbound = self.inbound();
+        let all = (inbound.selected().iter()).filter(|one| one.audience == Audience::All);
+        all.map(|selected| selected.key.clone()).collect()
+    }
+
+    /// Lets retained messages come through the router alone, if it can.
+    pub fn follow(&self, following: Following) {
+        self.inbound().follow(following);
+    }
+
+    /// Makes a message of a retained value, if it is selected and was not delivered before.
+    pub fn on_retained(&self, value: &Value) -> Option<MessageMetadata> {
+        self.inbound().on_retained(value).map(MessageMetadata)
+    }
+
     fn inbound(&self) -> MutexGuard<'_, message::Inbound> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -161,5 +183,13 @@ impl MessageMetadata {
     #[getter]
     fn replayed(&self) -> bool {
         self.0.replayed
+    }
+
+    /// The age of a retained value in seconds, whether its program has ended, and whether its topic is forgotten.
+    #[getter]
+    fn retained(&self) -> Option<(f64, bool, bool)> {
+        let retained = self.0.retained?;
+        let age_s = retained.age.as_secs_f64();
+        Some((age_s, retained.has_ended, retained.is_forgotten))
     }
 }

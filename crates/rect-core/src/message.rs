@@ -190,10 +190,8 @@ impl Inbound {
     }
 
     /// Delivers retained messages as they are published if they do not come from the router, as `following` says.
-    #[must_use]
-    pub fn following(mut self, following: Following) -> Self {
+    pub fn follow(&mut self, following: Following) {
         self.following = following;
-        self
     }
 
     /// Returns the message of a retained value from the router, if one of the subscriptions selects it and it was not delivered before.

@@ -26,6 +26,7 @@ from rect.errors import (
     NoRouter,
     NoService,
     NotReachable,
+    NotRetained,
     OptionError,
     PayloadError,
     RecordingError,
@@ -41,7 +42,7 @@ from rect.errors import (
     ZenohError,
 )
 from rect.events import Counters, Event, Events
-from rect.message import Message
+from rect.message import Message, Retained
 from rect.program import Program, ServiceEntry
 from rect.publisher import Publisher
 from rect.recording import RecordedEvent, RecordedMessage, RecordedRequest, Recorder, Recording
@@ -84,6 +85,7 @@ __all__ = [
     "NoRouter",
     "NoService",
     "NotReachable",
+    "NotRetained",
     "OptionError",
     "Outcome",
     "OutgoingTransfer",
@@ -107,6 +109,7 @@ __all__ = [
     "Replies",
     "Reply",
     "Request",
+    "Retained",
     "Robot",
     "SenderCounts",
     "Service",

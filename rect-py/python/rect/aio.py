@@ -38,6 +38,7 @@ from rect.reply import Gathered, Reply
 from rect.request import Replies as BlockingReplies
 from rect.robot import DEFAULT_TIMEOUT, CodecLike
 from rect.service import Request, Requests
+from rect.state import Retain
 from rect.stream import Frame
 from rect.stream import StreamSender as BlockingStreamSender
 from rect.stream import Watcher as BlockingWatcher
@@ -131,9 +132,10 @@ class Robot:
         urgency: Urgency = "normal",
         codec: CodecLike = None,
         expires_after: float | None = None,
+        retained: Retain = False,
     ) -> None:
         """Publishes `value` on `topic` to every subscriber; see `rect.Robot.publish`."""
-        await self._publish(topic, None, value, urgency, codec, expires_after)
+        await self._publish(topic, None, value, urgency, codec, expires_after, retained)
 
     async def send(
         self,
@@ -446,6 +448,7 @@ class Robot:
         urgency: Urgency = "normal",
         codec: CodecLike = None,
         expires_after: float | None = None,
+        retained: Retain = False,
     ) -> Publisher[T]: ...
     @overload
     def publisher(
@@ -456,6 +459,7 @@ class Robot:
         urgency: Urgency = "normal",
         codec: CodecLike = None,
         expires_after: float | None = None,
+        retained: Retain = False,
     ) -> Publisher[Any]: ...
     def publisher(
         self,
@@ -465,10 +469,23 @@ class Robot:
         urgency: Urgency = "normal",
         codec: CodecLike = None,
         expires_after: float | None = None,
+        retained: Retain = False,
     ) -> Publisher[Any]:
         """Returns a publisher of `topic`, which can wait for a subscriber; see `rect.Robot.publisher`."""
-        publisher = self._robot.publisher(topic, type, urgency=urgency, codec=codec, expires_after=expires_after)
-        return Publisher(publisher)
+        options: dict[str, Any] = {"urgency": urgency, "codec": codec, "expires_after": expires_after}
+        return Publisher(self._robot.publisher(topic, type, **options, retained=retained))
+
+    @overload
+    async def latest(self, robot: str, topic: str, type: type[T]) -> Message[T] | None: ...
+    @overload
+    async def latest(self, robot: str, topic: str, type: Any = None) -> Message[Any] | None: ...
+    async def latest(self, robot: str, topic: str, type: Any = None) -> Message[Any] | None:
+        """Returns the last value of a retained topic of `robot`, if it has one; see `rect.Robot.latest`."""
+        return await asyncio.to_thread(self._robot.latest, robot, topic, type)
+
+    async def forget(self, topic: str) -> None:
+        """Forgets a retained topic of this robot; see `rect.Robot.forget`."""
+        await asyncio.to_thread(self._robot.forget, topic)
 
     async def wait_for_peer(self, robot: str, timeout: float) -> None:
         """Waits until `robot` is reachable; see `rect.Robot.wait_for_peer`."""
@@ -556,15 +573,18 @@ class Robot:
         urgency: str,
         codec: CodecLike,
         expires_after: float | None,
+        retained: Retain = False,
     ) -> None:
         self._session.check()
         payload = payload_of(value, codec_of(codec))
-        is_small = len(payload.bytes) < _rect.LARGE_BYTES
+        # The router answers when it keeps a value.
+        is_small = len(payload.bytes) < _rect.LARGE_BYTES and not retained
         is_open = self._session.urgency_sessions.is_open(urgency)
         if is_small and is_open and (recipient is None or self._session.recipients.is_reachable(recipient)):
             self._robot._publish(topic, recipient, payload, urgency, None, expires_after)
         else:
-            await asyncio.to_thread(self._robot._publish, topic, recipient, payload, urgency, None, expires_after)
+            arguments = (topic, recipient, payload, urgency, None, expires_after, retained)
+            await asyncio.to_thread(self._robot._publish, *arguments)
 
 
 class _Handle:

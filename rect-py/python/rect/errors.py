@@ -117,6 +117,15 @@ class NotReachable(RectError, ConnectionError):
         self.available = available
 
 
+class NotRetained(RectError, ValueError):
+    """A message was published and is not retained: programs that start later do not get it. The text states what to do."""
+
+    def __init__(self, topic: str, reason: str) -> None:
+        super().__init__(f"{topic} is not retained: {reason}")
+        #: Topic of the message.
+        self.topic = topic
+
+
 class NoService(RectError, LookupError):
     """No program of the robot, or of the fleet, serves the topic. Is the robot reachable, and its program running?"""
 

@@ -221,6 +221,19 @@ class Executor:
     def _put_once(self, key: str, payload: bytes, encoding: str, qos_fields: tuple[int, bool, bool]) -> None:
         self._zenoh.put(key, payload, encoding=encoding, **qos(qos_fields))
 
+    def _put_retained(
+        self,
+        key: str,
+        payload: tuple[bytes, str] | None,
+        qos_fields: tuple[int, bool, bool],
+        attachment: bytes,
+    ) -> None:
+        if payload is None:
+            self._zenoh.delete(key, attachment=attachment, **qos(qos_fields))
+        else:
+            bytes, encoding = payload
+            self._zenoh.put(key, bytes, encoding=encoding, attachment=attachment, **qos(qos_fields))
+
     def _get(self, id: int, *query: Any) -> None:
         report = self._report(id)
         selector, arguments = get_arguments(*query)
@@ -236,6 +249,13 @@ class Executor:
 
     def _reply(self, query: int, key: str, payload: bytes, encoding: str) -> None:
         self._answer(query, lambda open: open.reply(key, payload, encoding=encoding))
+
+    def _answer_retained(self, query: int, replies: list[tuple[str, tuple[bytes, str], bytes]]) -> None:
+        def answer(open: zenoh.Query) -> None:
+            for key, (payload, encoding), attachment in replies:
+                open.reply(key, payload, encoding=encoding, attachment=attachment)
+
+        self._answer(query, answer)
 
     def _reply_error(self, query: int, payload: bytes, encoding: str) -> None:
         self._answer(query, lambda open: open.reply_err(payload, encoding=encoding))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
 from typing import Any, Generic
 
@@ -24,6 +25,18 @@ def utc(seconds: float) -> datetime:
         return _1970 + timedelta(seconds=seconds)
     except OverflowError:
         return datetime.max.replace(tzinfo=timezone.utc)
+
+
+@dataclass(frozen=True)
+class Retained:
+    """That a message is of a retained topic, and how old its value is."""
+
+    #: How long ago the value was published, in seconds, by the clock of its robot's router.
+    age: float
+    #: Whether the program that published it has ended.
+    has_ended: bool
+    #: Whether the robot has forgotten the topic. Then the message has the value `None`.
+    is_forgotten: bool
 
 
 class Message(Generic[T]):
@@ -51,14 +64,15 @@ class Message(Generic[T]):
     def value(self) -> T:
         """The decoded payload, as the type that the subscriber states.
 
-        By default a dict, text, a numpy array, a `Picture` and so on, or bytes if the encoding is unknown.
+        By default a dict, text, a numpy array, a `Picture` and so on, or bytes if the encoding is unknown. `None` if the
+        robot has forgotten the retained topic.
 
         Raises `PayloadError` if the bytes do not match the encoding, and `problem` if there is one.
         """
         if self._value is UNREAD:
             if self.problem is not None:
                 raise self.problem
-            self._value = self.payload.value
+            self._value = None if self.is_forgotten else self.payload.value
         value: T = self._value
         return value
 
@@ -122,6 +136,18 @@ class Message(Generic[T]):
     def replayed(self) -> bool:
         """Whether the message repeats one of a recording (`rect replay`). `sent_at` is the time of that one."""
         return self._metadata.replayed
+
+    @property
+    def retained(self) -> Retained | None:
+        """That the topic is retained, and how old this value of it is. `None`: the topic is not retained."""
+        retained = self._metadata.retained
+        return None if retained is None else Retained(*retained)
+
+    @property
+    def is_forgotten(self) -> bool:
+        """Whether the robot has forgotten the retained topic. Then `value` is `None`."""
+        retained = self._metadata.retained
+        return retained is not None and retained[2]
 
     @property
     def is_expired(self) -> bool:

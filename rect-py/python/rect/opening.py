@@ -10,6 +10,7 @@ from rect.options import Options, tokens_of_router
 from rect.program import Presence, name_of_script
 from rect.recipients import Recipients
 from rect.session import Session
+from rect.state import State
 
 
 def open_session(options: Options) -> Session:
@@ -19,6 +20,7 @@ def open_session(options: Options) -> Session:
         session.decoder = Decoder(session)
         session.program = Presence(session, name_of_script() if options.program == "" else options.program)
         session.recipients = Recipients(session)
+        session.state = State(session)
         if session.is_direct:
             presence = _rect.direct_presence(session.key_space, str(session.zenoh.zid()))
             Executor(session, presence).start("rect presence")

@@ -36,6 +36,7 @@ class Publisher(Generic[T]):
         urgency: str,
         codec: _rect.Codec | None,
         lifetime: float | None,
+        disk: bool | None,
     ) -> None:
         self._session = session
         self._converter = converter
@@ -43,6 +44,7 @@ class Publisher(Generic[T]):
         self._urgency = urgency
         self._codec = codec
         self._lifetime = lifetime
+        self._disk = disk
         matching = self._matching = _Matching()
         self._declared = Declared(session, on_end=matching.close)
         publisher = session.publication(topic, None, urgency, lifetime is not None).publisher
@@ -83,7 +85,10 @@ class Publisher(Generic[T]):
         if self._converter is not None:
             self._converter.check(value)
         payload = payload_of(value, self._codec)
-        self._session.publish(self._topic, None, payload, self._urgency, self._lifetime)
+        if self._disk is None:
+            self._session.publish(self._topic, None, payload, self._urgency, self._lifetime)
+        else:
+            self._session.state.retain(self._topic, payload, self._urgency, self._disk)
 
     def wait_for_subscriber(self, timeout: float) -> None:
         """Waits until a subscriber receives the messages. `timeout` is in seconds.

@@ -24,8 +24,9 @@ from rect.registry import Connections
 from rect.reply import Reply
 from rect.request import Replies, RetriedRequest
 from rect.service import Request, Service
+from rect.state import Retain, retention
 from rect.stream import Frame, StreamSender, Watcher
-from rect.subscriber import Subscriber, Subscription, callable_or_none
+from rect.subscriber import Subscriber, Subscription, callable_or_none, decoded
 from rect.transfer import OnProgress, OutgoingTransfer, Progress, Received, Transfers
 from rect.typed import T, converter_of
 from rect.values import codec_of, payload_of
@@ -127,6 +128,7 @@ class Robot:
         urgency: Urgency = "normal",
         codec: CodecLike = None,
         expires_after: float | None = None,
+        retained: Retain = False,
     ) -> None:
         """Publishes `value` on `topic` to every subscriber.
 
@@ -139,14 +141,20 @@ class Robot:
           such as steering. Where another message would wait for room, this one is dropped. A receiver drops it if it
           was on the way for longer, or has waited for longer in the receive queue, and counts it (`counters`). Default:
           the message never expires.
+        - `retained`: whether this robot's router keeps the value as the last one of its topic. Programs that start later,
+          or whose link was interrupted, receive it; none receives a value twice, or an older one after a newer one
+          (`Message.retained`). It stays when this program ends. `"disk"`: it also survives a restart of the robot, and is
+          written before it is published. A value has 64 kB at most, and those of a robot 256 kB. Default: `False`.
 
-        Raises `InvalidTopicError`, `PayloadError`, `CodecError`, `OptionError` and `Closed`.
+        Raises `InvalidTopicError`, `PayloadError`, `CodecError`, `OptionError`, `Closed`, and `NotRetained` if the
+        message was published and is not kept.
 
         >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
         ...     robot.publish("arm/angle", {"degrees": 12.5}, urgency="urgent")
         ...     robot.publish("drive", [0.5, 0.5], expires_after=0.2)
+        ...     robot.publish("mode", "auto", retained=True)
         """
-        self._publish(topic, None, value, urgency, codec, expires_after)
+        self._publish(topic, None, value, urgency, codec, expires_after, retained)
 
     def send(
         self,
@@ -256,6 +264,7 @@ class Robot:
         urgency: Urgency = "normal",
         codec: CodecLike = None,
         expires_after: float | None = None,
+        retained: Retain = False,
     ) -> Publisher[T]: ...
     @overload
     def publisher(
@@ -266,6 +275,7 @@ class Robot:
         urgency: Urgency = "normal",
         codec: CodecLike = None,
         expires_after: float | None = None,
+        retained: Retain = False,
     ) -> Publisher[Any]: ...
     def publisher(
         self,
@@ -275,11 +285,12 @@ class Robot:
         urgency: Urgency = "normal",
         codec: CodecLike = None,
         expires_after: float | None = None,
+        retained: Retain = False,
     ) -> Publisher[Any]:
         """Returns a publisher of `topic`, which knows whether there are subscribers and can wait for one.
 
         - `type`: class of the values; `Publisher.publish` raises `TypeError` for others. Default: any values.
-        - `urgency`, `codec`, `expires_after`: see `publish`.
+        - `urgency`, `codec`, `expires_after`, `retained`: see `publish`.
 
         Raises `InvalidTopicError`, `CodecError`, `OptionError`, `Closed`, and `TypeError` if the type is not possible.
 
@@ -291,8 +302,40 @@ class Robot:
         self._session.check()
         lifetime = lifetime_of(expires_after)
         converter = converter_of(type)
-        arguments = (text("urgency", urgency), codec_of(codec), lifetime)
+        arguments = (text("urgency", urgency), codec_of(codec), lifetime, retention(retained, lifetime))
         return Publisher(self._session, text("topic", topic), converter, *arguments)
+
+    @overload
+    def latest(self, robot: str, topic: str, type: type[T]) -> Message[T] | None: ...
+    @overload
+    def latest(self, robot: str, topic: str, type: Any = None) -> Message[Any] | None: ...
+    def latest(self, robot: str, topic: str, type: Any = None) -> Message[Any] | None:
+        """Returns the last value of a retained topic of `robot`. `None` if it retains none, or is not reachable.
+
+        At once if a program of this robot subscribes to the topic; otherwise the other robot's router is asked.
+        `type`: see `subscribe`.
+
+        Raises `InvalidNameError`, `InvalidTopicError`, `Closed`, and `TypeError` if values cannot be converted to the type.
+
+        >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
+        ...     robot.publish("mode", "auto", retained=True)
+        ...     robot.latest("wombat-1", "mode").value
+        'auto'
+        """
+        self._session.check()
+        converter = converter_of(type)
+        found = self._session.state.latest(text("robot", robot), text("topic", topic))
+        return None if found is None else decoded(self._session, Message(*found), converter)
+
+    def forget(self, topic: str) -> None:
+        """Forgets a retained topic of this robot. Subscribers receive that as a message with the value `None`.
+
+        Nothing happens if it has no value.
+
+        Raises `InvalidTopicError`, `Closed`, and `NotRetained` if no router keeps values.
+        """
+        self._session.check()
+        self._session.state.forget(text("topic", topic))
 
     def wait_for_peer(self, robot: str, timeout: float) -> None:
         """Waits until `robot` is reachable. Returns at once if it is. `timeout` is in seconds.
@@ -329,7 +372,7 @@ class Robot:
     def wait_for_message(self, pattern: str, type: Any = None, *, timeout: float | None = None) -> Message[Any]:
         """Waits for the next message that matches the pattern and returns it.
 
-        Messages that were sent before this call are not received. `timeout` is in seconds; `None`, the default, waits
+        Messages that were sent before this call are not received, except the last value of a retained topic. `timeout` is in seconds; `None`, the default, waits
         without limit. For `type` see `subscribe`.
 
         Raises `TimedOut`, `InvalidNameError`, `InvalidTopicError`, `OptionError`, `Closed` and `TypeError`.
@@ -914,10 +957,15 @@ class Robot:
         urgency: str,
         codec: CodecLike,
         expires_after: float | None,
+        retained: Retain = False,
     ) -> None:
         self._session.check()
         payload = payload_of(value, codec_of(codec))
         lifetime = lifetime_of(expires_after)
+        disk = retention(retained, lifetime)
+        if disk is not None:
+            self._session.state.retain(text("topic", topic), payload, text("urgency", urgency), disk)
+            return
         self._session.publish(text("topic", topic), recipient, payload, text("urgency", urgency), lifetime)
 
     def _retried_request(

@@ -73,6 +73,29 @@ class Checking(Protocol):
         """Raises `NotReachable` unless the robot is reachable."""
 
 
+class Retaining(Protocol):
+    """The retained messages of the program."""
+
+    def follow(self, inbound: _rect.Inbound) -> None:
+        """Lets a subscription get retained messages through the router alone."""
+        ...
+
+    def receive(self, queue: ReceiveQueue[Any], inbound: _rect.Inbound) -> Any:
+        """Delivers the retained messages of a subscription to its queue."""
+        ...
+
+    def retain(self, topic: str, payload: Payload, urgency: str, disk: bool) -> None:
+        """Publishes a value that the router keeps."""
+        ...
+
+    def forget(self, topic: str) -> None:
+        """Forgets a topic."""
+        ...
+
+    def latest(self, robot: str, topic: str) -> tuple[_rect.MessageMetadata, Payload] | None:
+        """Returns the last value of a topic, if there is one."""
+
+
 class Decoding(Protocol):
     """Decodes payloads, with dictionaries that it fetches and serves."""
 
@@ -132,6 +155,8 @@ class Session:
         self.program: Presence
         #: Robots to which the program sends messages; set when the session is complete.
         self.recipients: Checking
+        #: Retained messages; set when the session is complete.
+        self.state: Retaining
         #: Links of the robot's router; `None` without a router.
         self.links: _rect.Links | None = None
         _OPEN.add(self)

@@ -70,6 +70,7 @@ class Subscriber(Generic[T]):
         self._queue: ReceiveQueue[_Arrived] = ReceiveQueue(capacity, when_full)
         self._inbound = inbound
         self._declared = Declared(session, self._queue)
+        session.state.follow(inbound)
         for subscription, key in enumerate(inbound.keys()):
             on_message = _rect.OnMessage(self._queue.queue, inbound, session.counters, session.links, subscription)
             try:
@@ -78,6 +79,8 @@ class Subscriber(Generic[T]):
             except zenoh.ZError as error:
                 self._declared.end()
                 raise zenoh_error("cannot declare the subscriber", error) from error
+        # The subscriptions precede it, so that no change is missed between them.
+        self._declared.add(session.state.receive(self._queue, inbound))
         self._declared.leave_with(self)
 
     def next(self, timeout: float | None = None) -> Message[T]:
@@ -138,19 +141,29 @@ class Subscriber(Generic[T]):
 
     def _decoded(self, message: Message[T]) -> Message[T]:
         """Decodes the payload of the message, or sets `problem`."""
-        try:
-            message.payload = self._session.decoder.payload(message.sender, message.payload)
-        except CodecError as error:
-            message.problem = error
-        return self.fitted(message)
+        return decoded(self._session, message, self._converter)
 
     def fitted(self, message: Message[T]) -> Message[T]:
         """Converts the value of a decoded message to the type that the program has stated, or sets `problem`."""
-        if self._converter is not None and message.problem is None:
-            message.fit(self._converter)
-        if message.problem is not None:
-            on_problem(self._session, message.sender, message.topic, message.problem)
-        return message
+        return fitted(self._session, message, self._converter)
+
+
+def decoded(session: Session, message: Message[T], converter: Converter[T] | None) -> Message[T]:
+    """Decodes the payload of a message and converts its value, or sets `problem`."""
+    try:
+        message.payload = session.decoder.payload(message.sender, message.payload)
+    except CodecError as error:
+        message.problem = error
+    return fitted(session, message, converter)
+
+
+def fitted(session: Session, message: Message[T], converter: Converter[T] | None) -> Message[T]:
+    """Converts the value of a decoded message to the type that the program has stated, or sets `problem`."""
+    if converter is not None and message.problem is None and not message.is_forgotten:
+        message.fit(converter)
+    if message.problem is not None:
+        on_problem(session, message.sender, message.topic, message.problem)
+    return message
 
 
 def undecoded(arrived: _Arrived) -> Message[Any]:

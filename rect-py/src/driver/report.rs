@@ -95,13 +95,27 @@ impl Report {
             true => (pyo3::types::PyBytes::new(py, &[]).into_any(), None),
             false => (bytes_of(&payload)?, Some(encoding.str()?.to_string())),
         };
+        let key = text(query, intern!(py, "key_expr"))?;
+        let attachment = query.getattr(intern!(py, "attachment"))?;
+        let attachment = match attachment.is_none() {
+            true => None,
+            false => Some(bytes_of(&attachment)?.extract()?),
+        };
         let number = query.as_ptr() as u64;
         queries.set_item(number, query)?;
         let encoding = encoding.as_deref().unwrap_or("zenoh/bytes");
         let driver = self.driver.get();
         self.react(
             py,
-            driver.on_query(py, self.id, number, bytes.extract()?, encoding)?,
+            driver.on_query(
+                py,
+                self.id,
+                number,
+                bytes.extract()?,
+                encoding,
+                key,
+                attachment,
+            )?,
         )
     }
 

@@ -56,6 +56,25 @@ pub fn act(py: Python<'_>, action: Action) -> PyResult<Bound<'_, PyTuple>> {
             let (bytes, encoding) = parts(py, &payload);
             ("put_once", key, bytes, encoding, qos_fields(qos)).into_pyobject(py)
         }
+        Action::PutRetained {
+            key,
+            payload,
+            qos,
+            attachment,
+            ..
+        } => {
+            let payload = payload.as_ref().map(|payload| parts(py, payload));
+            let attachment = PyBytes::new(py, &attachment);
+            ("put_retained", key, payload, qos_fields(qos), attachment).into_pyobject(py)
+        }
+        Action::AnswerRetained { query, replies } => {
+            let replies = replies.iter().map(|reply| {
+                let attachment = PyBytes::new(py, &reply.attachment);
+                (reply.key.as_str(), parts(py, &reply.payload), attachment)
+            });
+            let replies: Vec<_> = replies.collect();
+            ("answer_retained", query.0, replies).into_pyobject(py)
+        }
         Action::Get { id, get } if get.liveliness => {
             let timeout = get.timeout.as_secs_f64();
             ("get_liveliness", id.0, get.selector, timeout).into_pyobject(py)

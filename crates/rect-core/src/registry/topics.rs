@@ -36,23 +36,65 @@ pub const MAX_KEPT: Duration = Duration::from_secs(30);
 
 /// A router's answer about the topics of its robot.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(from = "Document", into = "Document")]
 pub struct Topics {
     /// The time over which messages have been counted, in seconds, at most [`WINDOW`]. 0 in the answer that starts the count.
     pub window_s: f64,
-    /// The topics.
+    /// The topics, in the order of their names.
     pub topics: Vec<TopicReport>,
     /// The number of topics that are not in the list. All topics that could not be counted individually add 1 in total.
-    #[serde(default, skip_serializing_if = "is_zero")]
     pub more: usize,
+}
+
+/// The form of an answer in JSON.
+#[derive(Serialize, Deserialize)]
+struct Document {
+    window_s: f64,
+    topics: Vec<Row>,
+    #[serde(default, skip_serializing_if = "is_zero")]
+    more: usize,
+    /// The positions in `topics` of those that are retained. They are not in the rows, whose lengths are fixed.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    retained: Vec<usize>,
+}
+
+impl From<Document> for Topics {
+    fn from(document: Document) -> Self {
+        let mut topics: Vec<_> = (document.topics.into_iter())
+            .map(TopicReport::from)
+            .collect();
+        for at in document.retained {
+            if let Some(report) = topics.get_mut(at) {
+                report.is_retained = true;
+            }
+        }
+        Self {
+            window_s: document.window_s,
+            topics,
+            more: document.more,
+        }
+    }
+}
+
+impl From<Topics> for Document {
+    fn from(topics: Topics) -> Self {
+        let numbered = topics.topics.iter().enumerate();
+        let retained = numbered.filter(|(_, report)| report.is_retained);
+        Self {
+            window_s: topics.window_s,
+            retained: retained.map(|(at, _)| at).collect(),
+            topics: topics.topics.into_iter().map(Row::from).collect(),
+            more: topics.more,
+        }
+    }
 }
 
 fn is_zero(count: &usize) -> bool {
     *count == 0
 }
 
-/// The report about one topic. In JSON it is an array of the fields in this order, to save bytes.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(from = "Row", into = "Row")]
+/// The report about one topic. In JSON it is an array of the fields in this order, to save bytes, except for the last one.
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct TopicReport {
     /// The topic: the key below the robot's name.
     pub topic: String,
@@ -69,6 +111,19 @@ pub struct TopicReport {
     /// The shortest and the longest interval between two messages, in milliseconds. `None` if the question does
     /// not select a single topic, or if no interval ended within the window.
     pub interval_ms: Option<(f64, f64)>,
+    /// Whether the router keeps the topic's last value.
+    pub is_retained: bool,
+}
+
+/// A retained topic of a robot.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RetainedTopic {
+    /// The topic.
+    pub topic: String,
+    /// The encoding of its value.
+    pub encoding: String,
+    /// The size of its value, in bytes.
+    pub bytes: u64,
 }
 
 /// A report with what is not always there: the losses, and the intervals.
@@ -105,6 +160,7 @@ impl From<Row> for TopicReport {
             last_bytes,
             lost,
             interval_ms,
+            is_retained: false,
         }
     }
 }
@@ -119,6 +175,7 @@ impl From<TopicReport> for Row {
             last_bytes: last,
             lost,
             interval_ms,
+            is_retained: _,
         } = report;
         match (lost, interval_ms) {
             (0, Some(intervals)) => Self::Long(topic, encoding, hz, rate, last, intervals),
@@ -256,9 +313,7 @@ impl Counted {
         self.last = Some(now);
         self.last_bytes = bytes;
         if self.encoding != encoding {
-            let end = encoding.char_indices().map(|(at, c)| at + c.len_utf8());
-            let end = end.take_while(|&end| end <= MAX_ENCODING_BYTES).last();
-            self.encoding = encoding[..end.unwrap_or(0)].to_owned();
+            self.encoding = shortened(encoding).to_owned();
         }
     }
 
@@ -309,8 +364,46 @@ impl Counted {
             last_bytes: self.last_bytes,
             lost: self.lost,
             interval_ms: intervals.map(|(min, max)| (tenths_ms(min), tenths_ms(max))),
+            is_retained: false,
         }
     }
+}
+
+impl Topics {
+    /// Marks the topics that are retained, and adds those of which no message was counted. `topic` selects a single topic.
+    #[must_use]
+    pub fn with_retained(
+        mut self,
+        retained: impl IntoIterator<Item = RetainedTopic>,
+        topic: Option<&str>,
+    ) -> Self {
+        let selected = |one: &RetainedTopic| topic.is_none_or(|topic| one.topic == topic);
+        for one in retained.into_iter().filter(selected) {
+            let at = (self.topics).binary_search_by(|report| report.topic.cmp(&one.topic));
+            match at {
+                Ok(at) => self.topics[at].is_retained = true,
+                Err(_) if self.topics.len() >= MAX_TOPICS => self.more += 1,
+                Err(at) => {
+                    let report = TopicReport {
+                        encoding: shortened(&one.encoding).to_owned(),
+                        topic: one.topic,
+                        last_bytes: one.bytes,
+                        is_retained: true,
+                        ..TopicReport::default()
+                    };
+                    self.topics.insert(at, report);
+                }
+            }
+        }
+        self
+    }
+}
+
+/// Returns the beginning of an encoding that a report contains.
+fn shortened(encoding: &str) -> &str {
+    let end = encoding.char_indices().map(|(at, c)| at + c.len_utf8());
+    let end = end.take_while(|&end| end <= MAX_ENCODING_BYTES).last();
+    &encoding[..end.unwrap_or(0)]
 }
 
 fn tenths(number: f64) -> f64 {
@@ -402,6 +495,54 @@ mod tests {
         let json = serde_json::to_string(&one).expect("JSON");
         let back: Topics = serde_json::from_str(&json).expect("valid JSON");
         assert_eq!(back, one);
+    }
+
+    #[test]
+    fn retained_topics_are_marked_and_listed_without_a_message() {
+        let retained = ["zone", "arm/angle", "mode"].map(|topic| RetainedTopic {
+            topic: topic.to_owned(),
+            encoding: "e".repeat(2 * MAX_ENCODING_BYTES),
+            bytes: 6,
+        });
+        let (counter, now) = counted(2_000);
+        let report = |topic| {
+            let report = counter.report(now, topic);
+            report.with_retained(retained.clone(), topic)
+        };
+        let all = report(None);
+        let rows = |topics: &Topics| {
+            let rows = topics.topics.iter();
+            let rows = rows.map(|one| (one.topic.clone(), one.last_bytes, one.is_retained));
+            rows.collect::<Vec<_>>()
+        };
+        let expected = [("arm/angle", 24), ("mode", 6), ("zone", 6)];
+        assert_eq!(
+            rows(&all),
+            expected.map(|(topic, bytes)| (topic.to_owned(), bytes, true))
+        );
+        assert_eq!(all.topics[1].encoding.len(), MAX_ENCODING_BYTES);
+        assert_eq!(rows(&report(Some("mode"))), [("mode".to_owned(), 6, true)]);
+        assert!(rows(&report(Some("other"))).is_empty());
+
+        let json = serde_json::to_string(&all).expect("JSON");
+        assert!(json.ends_with(r#""retained":[0,1,2]}"#), "{json}");
+        let back: Topics = serde_json::from_str(&json).expect("valid JSON");
+        assert_eq!(back, all);
+        let hostile = json.replace("[0,1,2]", "[7,1,1]");
+        let back: Topics = serde_json::from_str(&hostile).expect("valid JSON");
+        let marked = back.topics.iter().filter(|one| one.is_retained).count();
+        assert_eq!(marked, 1, "{hostile}");
+    }
+
+    #[test]
+    fn retained_topics_beyond_the_maximum_are_counted() {
+        let retained = (0..MAX_TOPICS + 3).map(|n| RetainedTopic {
+            topic: format!("t{n}"),
+            encoding: String::new(),
+            bytes: 1,
+        });
+        let topics = Topics::default().with_retained(retained, None);
+        assert_eq!((topics.topics.len(), topics.more), (MAX_TOPICS, 3));
     }
 
     #[test]

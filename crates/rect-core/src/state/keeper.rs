@@ -30,6 +30,7 @@ use crate::{
         urgency::{Qos, Urgency},
     },
     name::{key::KeySpace, topic::Topic, Name},
+    registry::topics::RetainedTopic,
     session::peers,
 };
 
@@ -154,6 +155,20 @@ impl StateKeeper {
         let key = (self.place.robot.clone(), topic.clone());
         let entry = self.store.get(&key);
         entry.is_some_and(|entry| entry.payload.is_some())
+    }
+
+    /// Returns the retained topics of this robot, in the order of their names.
+    pub fn topics(&self) -> Vec<RetainedTopic> {
+        let own = self.store.of(&self.place.robot);
+        let topics = own.filter_map(|((_, topic), entry)| {
+            let payload = entry.payload.as_ref()?;
+            Some(RetainedTopic {
+                topic: topic.to_string(),
+                encoding: payload.encoding.as_str().to_owned(),
+                bytes: payload.bytes.len() as u64,
+            })
+        });
+        topics.collect()
     }
 
     /// Handles that bytes could not be written to disk, or were.

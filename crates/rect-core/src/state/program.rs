@@ -159,10 +159,40 @@ impl ProgramState {
         self.known.retain(|key, _| is_selected(fleet, &keys, key));
     }
 
-    /// Returns the identity of the next value that the program publishes.
-    pub fn next_origin(&mut self) -> Origin {
+    fn next_origin(&mut self) -> Origin {
         self.published += 1;
         Origin(self.run, self.published)
+    }
+
+    /// Returns the order to publish and keep a value. `sent_ms` is the time in milliseconds since 1970.
+    pub fn set(
+        &mut self,
+        topic: &Topic,
+        payload: Payload,
+        urgency: Urgency,
+        disk: bool,
+        sent_ms: u64,
+    ) -> Order {
+        Order::Set {
+            topic: topic.to_string(),
+            origin: self.next_origin(),
+            sent_ms,
+            kept: None,
+            age_ms: 0,
+            urgency,
+            disk,
+            encoding: payload.encoding.as_str().to_owned(),
+            bytes: payload.bytes,
+        }
+    }
+
+    /// Returns the order to forget a topic.
+    pub fn forget(&mut self, topic: &Topic, sent_ms: u64) -> Order {
+        Order::Forget {
+            topic: topic.to_string(),
+            origin: self.next_origin(),
+            sent_ms,
+        }
     }
 
     /// Handles that the router keeps a value of the program, or has forgotten it.

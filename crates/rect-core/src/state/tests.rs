@@ -78,6 +78,9 @@ enum Node {
     Program(usize, usize),
 }
 
+/// The links that something travels over, each with the number of its changes.
+type Path = Vec<(usize, u64)>;
+
 enum Happening {
     Poll(Node, u64),
     PollRetain(usize, usize, u64),
@@ -91,7 +94,7 @@ enum Happening {
     },
     Event(Node, u64, Event),
     RetainEvent(usize, usize, u64, Event),
-    Published(usize, u32, Sample, Vec<(usize, u64)>),
+    Published(usize, u32, Sample, Path),
     Tokens,
     Set,
     Cut,
@@ -107,7 +110,7 @@ struct World {
     now: Instant,
     random: Random,
     next: u64,
-    happenings: BTreeMap<(Instant, u64), (Happening, Vec<(usize, u64)>)>,
+    happenings: BTreeMap<(Instant, u64), (Happening, Path)>,
     /// The links a-b, b-c and a-c: whether each is up, and how often that has changed.
     links: [(bool, u64); 3],
     has_mesh: bool,
@@ -168,7 +171,7 @@ impl World {
         self.after(ms(after), happening, Vec::new());
     }
 
-    fn after(&mut self, after: Duration, happening: Happening, path: Vec<(usize, u64)>) {
+    fn after(&mut self, after: Duration, happening: Happening, path: Path) {
         self.next += 1;
         (self.happenings).insert((self.now + after, self.next), (happening, path));
     }
@@ -188,7 +191,7 @@ impl World {
     }
 
     /// Returns the links between two robots with their epochs, if there is a way.
-    fn path(&self, from: usize, to: usize) -> Option<Vec<(usize, u64)>> {
+    fn path(&self, from: usize, to: usize) -> Option<Path> {
         let link = |a: usize, b: usize| match (a.min(b), a.max(b)) {
             (0, 1) => 0,
             (1, 2) => 1,
@@ -522,14 +525,7 @@ impl World {
         }
     }
 
-    fn send_event(
-        &mut self,
-        to: Node,
-        epoch: u64,
-        event: Event,
-        wait: Duration,
-        path: Vec<(usize, u64)>,
-    ) {
+    fn send_event(&mut self, to: Node, epoch: u64, event: Event, wait: Duration, path: Path) {
         // The ids of publications are those of another driver.
         let happening = match to {
             Node::Program(robot, program) if epoch >= RETAIN => {
@@ -757,24 +753,12 @@ impl World {
         if program.retain.is_some() {
             return;
         }
-        let origin = program.state.next_origin();
         let order = match forget {
-            true => Order::Forget {
-                topic: topic.to_string(),
-                origin,
-                sent_ms: 0,
-            },
-            false => Order::Set {
-                topic: topic.to_string(),
-                origin,
-                sent_ms: 0,
-                kept: None,
-                age_ms: 0,
-                urgency: Urgency::Normal,
-                disk,
-                encoding: "text/plain".to_owned(),
-                bytes: vec![b'x'; 40].into(),
-            },
+            true => program.state.forget(&topic, 0),
+            false => {
+                let payload = Payload::new(vec![b'x'; 40], Encoding::TEXT);
+                (program.state).set(&topic, payload, Urgency::Normal, disk, 0)
+            }
         };
         let retain = Retain::new(&place(robot), &order, now);
         program.retain = Some((retain, topic, order));

@@ -140,6 +140,7 @@ fn payload_kind(error: &PayloadError) -> Value {
         PayloadError::Write { .. } => json!({"error": "write"}),
         PayloadError::Type(_) => json!({"error": "type"}),
         PayloadError::Encoding(_) => json!({"error": "encoding"}),
+        PayloadError::Forgotten => json!({"error": "forgotten"}),
     }
 }
 

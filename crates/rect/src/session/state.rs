@@ -16,6 +16,7 @@ use rect_core::{
         topic::Topic,
         Name,
     },
+    registry::topics::RetainedTopic,
     state::{
         keeper::{Disk, IsServed, Item, StateKeeper},
         latest::Latest,
@@ -239,11 +240,7 @@ impl Robot {
     ) -> Result<(), Error> {
         let topic: Topic = valid(topic)?;
         let running = self.inner.state.running()?;
-        let order = Order::Forget {
-            topic: topic.to_string(),
-            origin: running.driver().next_origin(),
-            sent_ms: ms_since_1970(SystemTime::now()),
-        };
+        let order = running.driver().forget(&topic, now_ms());
         self.give(topic, order).await
     }
 
@@ -256,17 +253,8 @@ impl Robot {
     ) -> Result<(), Error> {
         let running = self.inner.state.running()?;
         let size = payload.bytes.len();
-        let order = Order::Set {
-            topic: topic.to_string(),
-            origin: running.driver().next_origin(),
-            sent_ms: ms_since_1970(SystemTime::now()),
-            kept: None,
-            age_ms: 0,
-            urgency: self.urgency(),
-            disk: retention == Retention::OnDisk,
-            encoding: payload.encoding.as_str().to_owned(),
-            bytes: payload.bytes,
-        };
+        let (urgency, disk) = (self.urgency(), retention == Retention::OnDisk);
+        let order = (running.driver()).set(&topic, payload, urgency, disk, now_ms());
         let given = self.give(topic, order).await;
         if given.is_ok() {
             self.inner.counting.on_sent(size);
@@ -344,6 +332,11 @@ impl KeptState {
     pub fn has(&self, topic: &Topic) -> bool {
         self.0.driver().has(topic)
     }
+
+    /// Returns the topics that have a value, in the order of their names.
+    pub fn topics(&self) -> Vec<RetainedTopic> {
+        self.0.driver().topics()
+    }
 }
 
 impl Drop for KeptState {
@@ -373,6 +366,10 @@ impl Sink<Item> for Writer {
             }
         }
     }
+}
+
+fn now_ms() -> u64 {
+    ms_since_1970(SystemTime::now())
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

@@ -154,8 +154,8 @@ impl Robot {
     ) -> Result<Subscriber<T>, Error> {
         let place = self.inner.place.clone();
         let queue = ReceiveQueue::new(Queue::new(queue.capacity, queue.when_full));
-        let inbound = Inbound::new(place, selected.clone(), Instant::now());
-        let inbound = inbound.following(self.inner.state.following()?);
+        let mut inbound = Inbound::new(place, selected.clone(), Instant::now());
+        inbound.follow(self.inner.state.following()?);
         let inbound = Arc::new(Mutex::new(inbound));
         let receiver = Receiver {
             inbound: inbound.clone(),

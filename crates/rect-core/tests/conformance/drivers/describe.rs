@@ -72,6 +72,26 @@ pub fn act(action: Action) -> Value {
                 qos_fields(qos)
             ])
         }
+        Action::PutRetained {
+            key,
+            payload,
+            qos,
+            attachment,
+            ..
+        } => json!([
+            "put_retained",
+            key,
+            payload.as_ref().map(parts),
+            qos_fields(qos),
+            bytes(&attachment)
+        ]),
+        Action::AnswerRetained { query, replies } => {
+            let replies: Vec<_> = replies
+                .iter()
+                .map(|reply| json!([reply.key, parts(&reply.payload), bytes(&reply.attachment)]))
+                .collect();
+            json!(["answer_retained", query.0, replies])
+        }
         Action::Get { id, get } if get.liveliness => {
             json!([
                 "get_liveliness",

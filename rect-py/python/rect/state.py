@@ -1,0 +1,120 @@
+"""Publishes retained messages, and receives them from the router."""
+
+from __future__ import annotations
+
+import random
+import threading
+from typing import TYPE_CHECKING, Any, Literal, Union
+
+from rect import _rect
+from rect.errors import NotRetained, OptionError
+from rect.executor import Executor
+from rect.receive_queue import ReceiveQueue
+from rect.values import Payload
+
+if TYPE_CHECKING:
+    from rect.session import Session
+
+#: Whether the last value of a topic is kept: in the memory of the robot's router, or also on its disk.
+Retain = Union[bool, Literal["disk"]]
+
+
+def retention(retained: Retain, lifetime: float | None) -> bool | None:
+    """Returns whether a value is kept on disk, or `None` if it is not retained. Raises `OptionError`."""
+    if not isinstance(retained, bool) and retained != "disk":
+        raise OptionError("retained", retained, 'it must be True, False or "disk"')
+    if not retained:
+        return None
+    if lifetime is not None:
+        raise OptionError("retained", retained, "a message that expires cannot be retained")
+    return retained == "disk"
+
+
+class State:
+    """The retained messages of this program. Its driver runs from the first subscription or retained message on."""
+
+    def __init__(self, session: Session) -> None:
+        self._session = session
+        self._core = _rect.ProgramState(session.key_space, session.program.instance)
+        self._executor: Executor | None = None
+        self._lock = threading.Lock()
+        self._last_warning: str | None = None
+        if session.is_direct:
+            keeper = _rect.state_keeper(session.key_space, random.getrandbits(32))
+            Executor(session, keeper, session.warn).start("rect state keeper")
+
+    def _running(self) -> Executor:
+        """Starts the driver. Raises `ZenohError` and `Closed`."""
+        with self._lock:
+            if self._executor is None:
+                executor = Executor(self._session, self._core.driver(), self._core.deliver)
+                executor.start("rect state")
+                self._executor = executor
+            return self._executor
+
+    def follow(self, inbound: _rect.Inbound) -> None:
+        """Lets a subscription get retained messages through the router alone, if it can."""
+        self._core.follow(inbound)
+
+    def receive(self, queue: ReceiveQueue[Any], inbound: _rect.Inbound) -> Receiving:
+        """Delivers the retained messages of a subscription to its queue."""
+        running = self._running()
+        session = self._session
+        number = self._core.subscribe(queue.queue, inbound, session.counters, session.links)
+        running.wake()
+        return Receiving(self._core, number)
+
+    def retain(self, topic: str, payload: Payload, urgency: str, disk: bool) -> None:
+        """Publishes a value that the router keeps. Raises `NotRetained`, `InvalidTopicError`, `OptionError` and `Closed`."""
+        self._session.warn(self._session.used_names.on_topic(topic))
+        order = self._core.set(topic, payload.bytes, payload.encoding, urgency, disk)
+        if not self._give(topic, order):
+            self._session.publish(topic, None, payload, urgency, None)
+            raise NotRetained(topic, _NO_KEEPER)
+        self._session.counters.on_sent(len(payload.bytes))
+
+    def forget(self, topic: str) -> None:
+        """Forgets a topic. Raises `NotRetained`, `InvalidTopicError` and `Closed`."""
+        if not self._give(topic, self._core.forget(topic)):
+            raise NotRetained(topic, _NO_KEEPER)
+
+    def _give(self, topic: str, order: _rect.StateOrder) -> bool:
+        """Gives an order to the router. Returns `False` if there is none that keeps values."""
+        running = self._running()
+        outcome, detail = Executor(self._session, order.driver(self._session.key_space)).run()
+        if outcome == "refused":
+            raise NotRetained(topic, detail)
+        if outcome == "no_keeper":
+            return False
+        self._session.check()
+        if detail.warning is not None and detail.warning != self._last_warning:
+            self._session.warn(detail.warning)
+            self._last_warning = detail.warning
+        self._core.on_kept(order, detail)
+        running.wake()
+        return True
+
+    def latest(self, robot: str, topic: str) -> tuple[_rect.MessageMetadata, Payload] | None:
+        """Returns the last value of a topic, if there is one. Raises `InvalidNameError`, `InvalidTopicError` and `Closed`."""
+        driver = _rect.latest(self._session.key_space, robot, topic, _rect.QUERY_TIMEOUT_S)
+        found = Executor(self._session, driver).run()
+        if found is None:
+            self._session.check()
+            return None
+        metadata, (bytes, encoding) = found.message()
+        return metadata, Payload(bytes, encoding)
+
+
+class Receiving:
+    """The part of a subscription that retained messages go through."""
+
+    def __init__(self, core: _rect.ProgramState, number: int) -> None:
+        self._core = core
+        self._number = number
+
+    def undeclare(self) -> None:
+        """Ends it."""
+        self._core.unsubscribe(self._number)
+
+
+_NO_KEEPER = "no router of this robot keeps values. Start rect-router, or a later version of it"

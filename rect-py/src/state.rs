@@ -1,0 +1,252 @@
+//! Exposes retained messages: those that a program publishes and receives, and the state of a program without a router.
+use std::{
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    time::SystemTime,
+};
+
+use pyo3::{prelude::*, pybacked::PyBackedBytes, IntoPyObjectExt};
+use rect_core::{
+    clock::unix::ms_since_1970,
+    name::topic::Topic,
+    state::{
+        keeper::{Disk, Item, StateKeeper},
+        latest::Latest,
+        page::{self, Order, Value},
+        program,
+        retain::{Outcome, Retain},
+    },
+};
+
+use crate::{
+    clock::Clock,
+    codec::{parts, payload, Parts},
+    connection::Links,
+    counters::AtomicCounters,
+    driver::{lock, seconds, Driver, ToPython},
+    key_space::{name, topic, KeySpace},
+    message::{Inbound, MessageMetadata},
+    queue::Queue,
+    urgency,
+};
+
+/// The retained messages of a program.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct ProgramState {
+    core: Arc<Mutex<program::ProgramState>>,
+    clock: Clock,
+    receivers: Mutex<Vec<(u64, Arc<Receiver>)>>,
+}
+
+/// The part of a subscription that retained messages go through.
+struct Receiver {
+    queue: Py<Queue>,
+    inbound: Py<Inbound>,
+    counters: Py<AtomicCounters>,
+    links: Option<Py<Links>>,
+}
+
+/// A value from the router.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct RetainedValue(Value);
+
+/// A value for the router.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct StateOrder {
+    topic: Topic,
+    order: Order,
+}
+
+/// The answer of the router that it keeps a value.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct KeptValue(page::Kept);
+
+#[pymethods]
+impl KeptValue {
+    /// A problem that the program should know.
+    #[getter]
+    fn warning(&self) -> Option<&str> {
+        self.0.warning.as_deref()
+    }
+}
+
+#[pymethods]
+impl ProgramState {
+    /// Creates the state of the run `instance` of a program.
+    #[new]
+    fn new(key_space: &KeySpace, instance: u32) -> Self {
+        let clock = Clock::new();
+        let core = program::ProgramState::new(key_space.0.clone(), instance, clock.created_at());
+        Self {
+            core: Arc::new(Mutex::new(core)),
+            clock,
+            receivers: Mutex::default(),
+        }
+    }
+
+    /// Returns the driver to execute, whose items are for `deliver`.
+    fn driver(&self) -> Driver {
+        Driver::shared(&self.core, &self.clock)
+    }
+
+    /// Adds a subscription, and returns its number. Then poll the driver.
+    fn subscribe(
+        &self,
+        queue: Py<Queue>,
+        inbound: Py<Inbound>,
+        counters: Py<AtomicCounters>,
+        links: Option<Py<Links>>,
+    ) -> u64 {
+        let keys = inbound.get().keys_of_all();
+        let number = lock(&self.core).subscribe(&keys, self.clock.now());
+        let receiver = Receiver {
+            queue,
+            inbound,
+            counters,
+            links,
+        };
+        self.receivers().push((number, Arc::new(receiver)));
+        number
+    }
+
+    /// Lets a subscription get retained messages through the router alone, if it can.
+    fn follow(&self, inbound: &Inbound) {
+        inbound.follow(lock(&self.core).following());
+    }
+
+    /// Removes a subscription.
+    fn unsubscribe(&self, number: u64) {
+        self.receivers().retain(|(known, _)| *known != number);
+        lock(&self.core).unsubscribe(number);
+    }
+
+    /// Delivers a value to all subscriptions that select it.
+    fn deliver(&self, py: Python<'_>, value: &RetainedValue) -> PyResult<()> {
+        // A queue without room blocks, and the program may end a subscription meanwhile.
+        let receivers = self.receivers().clone();
+        for (_, receiver) in receivers {
+            let Some(metadata) = receiver.inbound.get().on_retained(&value.0) else {
+                continue;
+            };
+            let links = receiver.links.as_ref();
+            let method = links.and_then(|links| links.get().method_of(metadata.sender_name()));
+            let (bytes, encoding) = parts(py, &value.0.payload);
+            let counters = &receiver.counters.get().0;
+            counters.on_received(value.0.payload.bytes.len(), 0);
+            let item = (metadata, bytes, encoding, method).into_pyobject(py)?;
+            receiver.queue.get().push(py, item.into_any().unbind())?;
+        }
+        Ok(())
+    }
+
+    /// Returns the order to publish and keep a value. Raises `InvalidTopicError` and `OptionError`.
+    fn set(
+        &self,
+        py: Python<'_>,
+        topic: &str,
+        bytes: PyBackedBytes,
+        encoding: &str,
+        urgency: &str,
+        disk: bool,
+    ) -> PyResult<StateOrder> {
+        let (topic, urgency) = (self::topic(topic)?, urgency::parse(py, urgency)?);
+        let payload = payload(bytes, encoding);
+        let order = lock(&self.core).set(&topic, payload, urgency, disk, now_ms());
+        Ok(StateOrder { topic, order })
+    }
+
+    /// Returns the order to forget a topic. Raises `InvalidTopicError`.
+    fn forget(&self, topic: &str) -> PyResult<StateOrder> {
+        let topic = self::topic(topic)?;
+        let order = lock(&self.core).forget(&topic, now_ms());
+        Ok(StateOrder { topic, order })
+    }
+
+    /// Handles that the router has carried out an order.
+    fn on_kept(&self, order: &StateOrder, kept: &KeptValue) {
+        let StateOrder { topic, order } = order;
+        lock(&self.core).on_kept(topic.clone(), order, kept.0.clone(), self.clock.now());
+    }
+}
+
+impl ProgramState {
+    fn receivers(&self) -> MutexGuard<'_, Vec<(u64, Arc<Receiver>)>> {
+        self.receivers
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[pymethods]
+impl StateOrder {
+    /// Creates the driver that gives the order to the router.
+    fn driver(&self, key_space: &KeySpace) -> Driver {
+        let clock = Clock::new();
+        let retain = Retain::new(&key_space.0, &self.order, clock.created_at());
+        Driver::new(retain, &clock)
+    }
+}
+
+#[pymethods]
+impl RetainedValue {
+    /// Returns the message of the value: its metadata, its bytes and their encoding. `None` if it has no robot.
+    fn message<'py>(&self, py: Python<'py>) -> Option<(MessageMetadata, Parts<'py>)> {
+        let robot = self.0.robot.clone()?;
+        let metadata = MessageMetadata::of(self.0.message(robot));
+        Some((metadata, parts(py, &self.0.payload)))
+    }
+}
+
+/// Creates the question for the last value of a topic. Raises `InvalidNameError` and `InvalidTopicError`.
+#[pyfunction]
+pub fn latest(key_space: &KeySpace, robot: &str, topic: &str, timeout_s: f64) -> PyResult<Driver> {
+    let (robot, topic) = (name(robot)?, self::topic(topic)?);
+    let latest = Latest::new(key_space.0.clone(), robot, topic, seconds(timeout_s));
+    Ok(Driver::new(latest, &Clock::new()))
+}
+
+/// Creates the state of a program without a router. Its items are warnings.
+#[pyfunction]
+pub fn state_keeper(key_space: &KeySpace, run: u32) -> Driver {
+    let clock = Clock::new();
+    let disk = Disk::None("a program without a router keeps no values on disk".to_owned());
+    let now = clock.created_at();
+    let keeper = StateKeeper::new(key_space.0.clone(), run, disk, Box::new(|_| false), now);
+    Driver::new(keeper, &clock)
+}
+
+fn now_ms() -> u64 {
+    ms_since_1970(SystemTime::now())
+}
+
+impl ToPython for Value {
+    fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        RetainedValue(self).into_py_any(py)
+    }
+}
+
+impl ToPython for Option<Value> {
+    fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        self.map(RetainedValue).into_py_any(py)
+    }
+}
+
+impl ToPython for Item {
+    fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        match self {
+            Self::Warning(text) => text.into_py_any(py),
+            // There is no disk.
+            Self::Save(_) => Ok(py.None()),
+        }
+    }
+}
+
+impl ToPython for Outcome {
+    fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
+        match self {
+            Self::Kept(kept) => ("kept", KeptValue(kept)).into_py_any(py),
+            Self::Refused(reason) => ("refused", reason).into_py_any(py),
+            Self::NoKeeper => ("no_keeper", py.None()).into_py_any(py),
+            Self::Closed => ("closed", py.None()).into_py_any(py),
+        }
+    }
+}
