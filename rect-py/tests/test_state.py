@@ -1,0 +1,253 @@
+"""Tests state that stays, between the programs of two robots whose routers are linked on the simulated air.
+
+RECT_ROUTER=target/checked/rect-router RECT_TOOL=target/checked/rect pytest rect-py/tests/test_state.py
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import rect
+import zenoh
+from conftest import DEADLINE, until
+from programs import Routers, linked_routers
+
+#: How long nothing may arrive after which nothing is expected any more, in seconds.
+QUIET = 1.0
+
+
+@pytest.fixture(scope="module")
+def state_routers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Routers]:
+    with linked_routers(tmp_path_factory.mktemp("state")) as routers:
+        yield routers
+
+
+def values(subscriber: rect.Subscriber[Any], count: int) -> list[Any]:
+    """Returns the values of the next messages."""
+    return [subscriber.next(DEADLINE).value for _ in range(count)]
+
+
+def nothing_more(subscriber: rect.Subscriber[Any]) -> None:
+    with pytest.raises(rect.TimedOut):
+        raise AssertionError(subscriber.next(QUIET))
+
+
+def test_program_that_starts_late_receives_the_last_value(state_routers: Routers) -> None:
+    with state_routers.connect("wombat-1") as one, state_routers.connect("wombat-2") as two:
+        one.publish("late/mode", "auto", retained=True)
+        one.publish("late/mode", "manual", retained=True)
+        with two.subscribe("wombat-1/late/mode") as subscriber:
+            first = subscriber.next(DEADLINE)
+            assert first.value == "manual"
+            assert first.retained is not None
+            assert 0 < first.retained.age < DEADLINE
+            assert not first.retained.has_ended
+            one.publish("late/mode", "auto", retained=True)
+            one.publish("late/mode", "auto", retained=True)
+            assert values(subscriber, 2) == ["auto", "auto"]
+            one.forget("late/mode")
+            forgotten = subscriber.next(DEADLINE)
+            assert forgotten.value is None
+            assert forgotten.retained is not None
+            assert forgotten.retained.is_forgotten
+            nothing_more(subscriber)
+        assert two.latest("wombat-1", "late/mode") is None
+
+
+def test_value_stays_when_its_program_ends(state_routers: Routers) -> None:
+    code = f"""
+import rect
+with rect.connect("wombat-1", router={state_routers.endpoints["wombat-1"]!r}, program="ends") as robot:
+    robot.publish("ends/mode", {{"speed": 1.5}}, retained=True)
+    input()
+"""
+    with state_routers.connect("wombat-2") as two:
+        subscriber = two.subscribe("*/ends/mode", dict[str, float])
+        with subprocess.Popen([sys.executable, "-c", code], stdin=subprocess.PIPE) as process:
+            assert values(subscriber, 1) == [{"speed": 1.5}]
+            process.kill()
+
+        def has_ended() -> bool:
+            latest = two.latest("wombat-1", "ends/mode", dict[str, float])
+            assert latest is not None
+            assert latest.value == {"speed": 1.5}
+            assert latest.retained is not None
+            return latest.retained.has_ended
+
+        until(has_ended)
+        nothing_more(subscriber)
+        with state_routers.connect("wombat-1") as one:
+            one.forget("ends/mode")
+            assert values(subscriber, 1) == [None]
+
+
+def test_change_during_a_cut_arrives_after_it(state_routers: Routers) -> None:
+    with state_routers.connect("wombat-1") as one, state_routers.connect("wombat-2") as two:
+        for topic in ("same", "changed", "forgotten"):
+            one.publish(f"cut/{topic}", 1, retained=True)
+        with two.subscribe("wombat-1/cut/*") as subscriber:
+            assert values(subscriber, 3) == [1, 1, 1]
+            with state_routers.without_link():
+                one.publish("cut/changed", 2, retained=True)
+                one.publish("cut/new", 3, retained=True)
+                one.forget("cut/forgotten")
+                kept = two.latest("wombat-1", "cut/changed")
+                assert kept is not None
+                assert kept.value == 1
+            received = {message.topic: message.value for message in [subscriber.next(DEADLINE) for _ in range(3)]}
+            assert received == {"cut/changed": 2, "cut/new": 3, "cut/forgotten": None}
+            nothing_more(subscriber)
+
+
+@pytest.mark.parametrize("restarted", ["wombat-1", "wombat-2"])
+def test_restart_of_a_router_loses_and_repeats_nothing(state_routers: Routers, restarted: str) -> None:
+    with state_routers.connect("wombat-1") as one, state_routers.connect("wombat-2") as two:
+        one.publish("restart/mode", "auto", retained=True)
+        with two.subscribe("wombat-1/restart/mode") as subscriber:
+            assert values(subscriber, 1) == ["auto"]
+            state_routers.restart(restarted)
+            # While the router is away, too.
+            one.publish("restart/mode", "stop", retained=True)
+            assert values(subscriber, 1) == ["stop"]
+            nothing_more(subscriber)
+            with two.subscribe("wombat-1/restart/mode") as late:
+                assert values(late, 1) == ["stop"]
+
+
+def test_value_on_disk_survives_a_restart_of_the_robot(state_routers: Routers) -> None:
+    with state_routers.connect("wombat-1") as one:
+        one.publish("disk/offset", 1.25, retained="disk")
+        one.publish("disk/gone", 1, retained="disk")
+        one.publish("disk/memory", 1, retained=True)
+        one.forget("disk/gone")
+    state_routers.restart("wombat-1")
+    with state_routers.connect("wombat-2") as two:
+
+        def latest(topic: str) -> Any:
+            message = two.latest("wombat-1", topic)
+            return message and message.value
+
+        until(lambda: latest("disk/offset") == 1.25)
+        assert latest("disk/gone") is None
+        assert latest("disk/memory") is None
+
+
+def test_disk_that_cannot_be_written_is_reported_and_loses_nothing_in_memory(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    (tmp_path / "retained.cbor").write_bytes(b"damaged")
+    with linked_routers(tmp_path) as routers, routers.connect("wombat-1") as one:
+        # Root writes to a folder that is read-only.
+        (tmp_path / "retained.cbor").unlink()
+        (tmp_path / "retained.cbor").mkdir()
+        one.publish("mode", "auto", retained="disk")
+        one.publish("mode", "manual", retained="disk")
+        assert "the retained values cannot be written to disk" in caplog.text
+        latest = one.latest("wombat-1", "mode")
+        assert latest is not None
+        assert latest.value == "manual"
+
+
+def test_topic_is_either_served_or_retained(state_routers: Routers) -> None:
+    with state_routers.connect("wombat-1") as one, state_routers.connect("wombat-1") as other:
+        with other.serve("either/grab", lambda _: "done"):
+            with pytest.raises(rect.NotRetained, match="a program of this robot serves either/grab"):
+                one.publish("either/grab", 1, retained=True)
+        one.publish("either/mode", 1, retained=True)
+        with pytest.raises(rect.ServiceRefused, match="either/mode is retained by a program of this robot"):
+            other.serve("either/mode", lambda _: "done")
+        with pytest.raises(rect.NoService):
+            other.request("wombat-1", "either/mode")
+
+
+def test_limits_are_reported_and_the_message_is_published(state_routers: Routers) -> None:
+    limit = 64 << 10
+    with state_routers.connect("wombat-1") as one, one.subscribe("wombat-1/limits/*") as subscriber:
+        one.publish("limits/most", bytes(limit), retained=True)
+        assert len(subscriber.next(DEADLINE).value) == limit
+        with pytest.raises(rect.NotRetained, match="the value has 65537 bytes, and at most 65536 are kept"):
+            one.publish("limits/more", bytes(limit + 1), retained=True)
+        message = subscriber.next(DEADLINE)
+        assert (len(message.value), message.retained) == (limit + 1, None)
+        one.forget("limits/most")
+        # 100,000 topics of a program that has gone wrong.
+        with pytest.raises(rect.NotRetained, match="the retained topics of this robot have 262144 bytes already"):
+            for number in range(100_000):
+                one.publish(f"flood/{number}", 1, retained=True)
+        assert number > 1500
+        for known in range(number):
+            one.forget(f"flood/{known}")
+
+
+def test_options_are_checked(state_routers: Routers) -> None:
+    with state_routers.connect("wombat-1") as one:
+        wrong: Any = "yes"
+        with pytest.raises(rect.OptionError, match='it must be True, False or "disk"'):
+            one.publish("mode", 1, retained=wrong)
+        with pytest.raises(rect.OptionError, match="a message that expires cannot be retained"):
+            one.publish("mode", 1, retained=True, expires_after=1)
+
+
+def test_stock_tools_get_the_last_value(state_routers: Routers) -> None:
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", f'["{state_routers.endpoints["wombat-2"]}"]')
+    with state_routers.connect("wombat-1") as one, zenoh.open(config) as stock:
+
+        def get(key: str) -> list[tuple[str, bytes]]:
+            replies = [reply.ok for reply in stock.get(key)]
+            return [(str(sample.key_expr), sample.payload.to_bytes()) for sample in replies if sample is not None]
+
+        one.publish("stock/mode", "auto", retained=True)
+        until(lambda: get("rect/wombat-1/stock/mode") == [("rect/wombat-1/stock/mode", b"auto")])
+        assert get("rect/*/stock/**") == [("rect/wombat-1/stock/mode", b"auto")]
+        received: list[bytes] = []
+        advanced = zenoh.ext.declare_advanced_subscriber(
+            stock,
+            "rect/wombat-1/stock/mode",
+            lambda sample: received.append(sample.payload.to_bytes()),
+            history=zenoh.ext.HistoryConfig(),
+        )
+        until(lambda: received == [b"auto"], lambda: received)
+        one.publish("stock/mode", "manual", retained=True)
+        until(lambda: received == [b"auto", b"manual"], lambda: received)
+        advanced.undeclare()
+        one.forget("stock/mode")
+        assert get("rect/wombat-1/stock/mode") == []
+
+
+def test_late_subscription_is_complete_soon(tmp_path: Path) -> None:
+    with (
+        linked_routers(tmp_path, "--pdu", "27") as routers,
+        routers.connect("wombat-1") as one,
+        routers.connect("wombat-2") as two,
+    ):
+        for number in range(50):
+            one.publish(f"soon/{number}", "x" * 38, retained=True)
+        time.sleep(2.0)
+        before = air_bytes(routers)
+        began = time.monotonic()
+        with two.subscribe("wombat-1/soon/*") as subscriber:
+            values(subscriber, 50)
+            took = time.monotonic() - began
+            carried = air_bytes(routers) - before
+            print(f"\n50 values of 40 bytes: {took * 1000:.0f} ms, {carried} bytes on the air")
+            assert took < 2.0
+            before = air_bytes(routers)
+            with two.subscribe("wombat-1/soon/*") as second:
+                values(second, 50)
+            with routers.connect("wombat-2") as third, third.subscribe("wombat-1/soon/*") as other:
+                values(other, 50)
+                print(f"two more subscriptions of the robot: {air_bytes(routers) - before} bytes on the air")
+                assert air_bytes(routers) - before < 400
+
+
+def air_bytes(routers: Routers) -> int:
+    """Returns the bytes that the air has carried so far, in both directions."""
+    return sum(adapter["stats"]["sdu_bytes"] for adapter in routers.room.status()["adapters"])
