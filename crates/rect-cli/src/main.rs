@@ -20,6 +20,7 @@ mod recording;
 mod registry;
 mod replay;
 mod request;
+mod retained;
 mod router;
 mod session;
 mod stream;
@@ -46,6 +47,7 @@ Examples without a robot: run `rect sim` in one terminal, and in another
 
 Examples on a robot with a router (`sudo rect init wombat-1 --start` configures and starts it):
   rect pub arm/angle 12.5                  # publishes to every robot
+  rect pub mode auto --retained            # publishes a value that programs that start later receive, too
   rect sub '*/arm/*'                       # prints the messages of all robots on these topics
   rect send wombat-2 grab '{\"force\": 3}'   # sends to one robot only
   rect stream watch wombat-2/camera        # receives a stream of pictures

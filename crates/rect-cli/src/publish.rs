@@ -8,6 +8,7 @@ use tokio::time::{interval, MissedTickBehavior};
 use crate::{
     duration::DurationArgument,
     payload::PayloadArguments,
+    retained::Place,
     session::{name, DeliveryArguments, JoinArguments},
     Done, Failure,
 };
@@ -19,6 +20,10 @@ pub struct PubArguments {
     topic: Topic,
     #[command(flatten)]
     message: MessageArguments,
+    /// Keep the value at the router of this robot, for programs that start later: in its memory, or with `disk` also on its disk, where it
+    /// survives a restart
+    #[arg(long, value_name = "PLACE", value_enum, num_args = 0..=1, require_equals = true, default_missing_value = "memory")]
+    retained: Option<Place>,
 }
 
 /// Send a message to one robot only
@@ -51,9 +56,14 @@ struct MessageArguments {
 
 /// Runs `rect pub`.
 pub async fn publish(arguments: PubArguments) -> Done {
-    let topic = arguments.topic;
-    repeat(arguments.message, async |robot, payload| {
-        robot.publish(&topic, payload).await
+    let PubArguments {
+        topic,
+        message,
+        retained,
+    } = arguments;
+    repeat(message, async |robot, payload| match retained {
+        None => robot.publish(&topic, payload).await,
+        Some(place) => place.handle(robot).publish(&topic, payload).await,
     })
     .await
 }

@@ -8,7 +8,7 @@ use rect_terminal::clock::time_of_day;
 use rect_terminal::{self as terminal, paint, Style};
 use serde_json::json;
 
-use crate::{display, session::JoinArguments, Done};
+use crate::{display, retained, session::JoinArguments, Done};
 
 /// Print the messages that match a pattern, until Ctrl-C
 #[derive(Args)]
@@ -71,12 +71,21 @@ fn as_text(message: &Message) -> String {
     if message.replayed {
         text += " (replayed)";
     }
+    if let Some(retained) = &message.retained {
+        text += &format!(" ({})", retained::words(retained));
+    }
     if let Some(method) = &message.method {
         text += &format!(" (over {})", line(method));
     }
     if message.missed > 0 {
         let missed = format!(" ({} missed before this one)", message.missed);
         text += &paint(Style::Poor, &missed);
+    }
+    if message
+        .retained
+        .is_some_and(|retained| retained.is_forgotten)
+    {
+        return text;
     }
     if let Some(problem) = message.problem() {
         let problem = format!(" (not decoded: {})", line(&problem.to_string()));
@@ -85,13 +94,19 @@ fn as_text(message: &Message) -> String {
     format!("{text}: {}", display::text(&message.payload))
 }
 
-fn as_json(message: &Message) -> serde_json::Value {
+/// Returns a message as JSON. The value and the problem of a topic that was forgotten are `null`.
+pub fn as_json(message: &Message) -> serde_json::Value {
+    let is_forgotten = message
+        .retained
+        .is_some_and(|retained| retained.is_forgotten);
+    let value = (!is_forgotten).then(|| display::json(&message.payload));
+    let problem = message.problem().filter(|_| !is_forgotten);
     json!({
         "sender": message.sender,
         "recipient": message.recipient,
         "topic": message.topic.as_str(),
         "encoding": message.payload.encoding.as_str(),
-        "value": display::json(&message.payload),
+        "value": value,
         "bytes": message.payload.bytes.len(),
         "urgency": message.urgency,
         "sent_ms": message.sent_at.map(ms_since_1970),
@@ -100,6 +115,7 @@ fn as_json(message: &Message) -> serde_json::Value {
         "late": message.late,
         "replayed": message.replayed,
         "method": message.method,
-        "problem": message.problem().map(ToString::to_string),
+        "retained": message.retained.as_ref().map(retained::json),
+        "problem": problem.map(ToString::to_string),
     })
 }

@@ -1,21 +1,23 @@
-//! Implements `rect topic`, which shows the topics that robots publish, and their rates. Each robot's router measures
-//! the rates, so that no messages are transmitted for the measurement.
+//! Implements `rect topic`, which shows the topics that robots publish or have retained, and their rates. Each robot's router
+//! measures the rates, so that no messages are transmitted for the measurement.
 use std::{process::ExitCode, time::Duration};
 
 use clap::{Args, Subcommand};
-use rect::{Name, Robot, RobotTopic};
+use rect::{Name, Payload, Robot, RobotTopic, Topic};
 use rect_core::{
     registry::topics::{TopicReport, Topics, KEPT, WINDOW},
     text::{display::line, humanize::bytes},
 };
 use rect_dashboard::topics::query;
-use rect_terminal::{self as terminal, Cell, Style, Table};
+use rect_terminal::{self as terminal, paint, Cell, Style, Table};
 use serde_json::json;
 
 use crate::{
+    display,
     duration::DurationArgument,
+    retained,
     session::{name, JoinArguments},
-    Done, Failure,
+    subscribe, Done, Failure,
 };
 
 /// How long messages are counted before `hz` prints the first line.
@@ -23,7 +25,7 @@ const COUNTED: Duration = Duration::from_secs(2);
 /// Interval at which `hz` prints.
 const EVERY: Duration = Duration::from_secs(1);
 
-/// Show the topics that robots publish, as measured by their routers
+/// Show the topics that robots publish, as measured by their routers, and the values that they retain
 #[derive(Args)]
 pub struct TopicArguments {
     #[command(subcommand)]
@@ -64,11 +66,32 @@ enum TopicCommand {
         #[command(flatten)]
         join: JoinArguments,
     },
+    /// Print the last value of a retained topic, and how old it is
+    ///
+    /// The exit status is 1 if no value is kept.
+    Get {
+        /// The topic, <robot>/<topic>: wombat-2/mode
+        topic: RobotTopic,
+        /// Print JSON
+        #[arg(long)]
+        json: bool,
+        #[command(flatten)]
+        join: JoinArguments,
+    },
+    /// Forget the value of a retained topic of this robot
+    ///
+    /// Programs that subscribe to the topic receive that it was forgotten.
+    Forget {
+        /// The topic, such as mode
+        topic: Topic,
+        #[command(flatten)]
+        join: JoinArguments,
+    },
 }
 
 #[derive(Args)]
 struct MeasuredArguments {
-    /// How long to count messages, at most 5s. A topic without a message in this time is not listed
+    /// How long to count messages, at most 5s. A topic without a message in this time is only listed if it is retained
     #[arg(long, default_value = "2s")]
     duration: DurationArgument,
     /// Print JSON
@@ -130,8 +153,57 @@ pub async fn run(arguments: TopicArguments) -> Done {
                 info(&topic, &topics, report);
             }
         }
+        TopicCommand::Get { topic, json, join } => {
+            let robot = join.join_unnamed().await?;
+            get(&robot, &topic, json).await?;
+        }
+        TopicCommand::Forget { topic, join } => {
+            let robot = join.join().await?;
+            robot.forget(&topic).await?;
+            rect_terminal::outln!(
+                "{} retains no value of {} now",
+                robot.name(),
+                line(topic.as_str())
+            );
+        }
     }
     Ok(ExitCode::SUCCESS)
+}
+
+/// Prints the last value of a retained topic.
+async fn get(robot: &Robot, topic: &RobotTopic, json: bool) -> Result<(), Failure> {
+    let latest = robot.latest::<Payload>(topic.robot.clone(), &topic.topic);
+    let Some(message) = latest.await? else {
+        return Err(not_retained(topic));
+    };
+    if json {
+        terminal::json(&subscribe::as_json(&message))?;
+        return Ok(());
+    }
+    let mut text = paint(
+        Style::Name,
+        &format!("{}/{}", topic.robot, line(topic.topic.as_str())),
+    );
+    if let Some(retained) = &message.retained {
+        let ended = match retained.has_ended {
+            true => ", its program has ended",
+            false => "",
+        };
+        text += &format!(" ({}{ended})", retained::age(retained));
+    }
+    if let Some(problem) = message.problem() {
+        let problem = format!(" (not decoded: {})", line(&problem.to_string()));
+        text += &paint(Style::Wrong, &problem);
+    }
+    rect_terminal::outln!("{text}: {}", display::text(&message.payload));
+    Ok(())
+}
+
+fn not_retained(topic: &RobotTopic) -> Failure {
+    let RobotTopic { robot, topic } = topic;
+    let topic = line(topic.as_str());
+    format!("{robot} keeps no value of {topic}, or is not reachable. `rect peers` lists the reachable robots, and `rect topic list {robot}` the topics that it retains")
+        .into()
 }
 
 fn not_published(topic: &RobotTopic) -> Failure {
@@ -156,10 +228,14 @@ async fn measure(
 
 fn list(answers: &[(String, Topics)]) {
     let mut columns = vec!["TOPIC", "RATE", "?BYTES/S", "?LAST", "?ENCODING"];
-    let mut reports = answers.iter().flat_map(|(_, topics)| &topics.topics);
-    let has_losses = reports.any(|report| report.lost > 0);
+    let reports = || answers.iter().flat_map(|(_, topics)| &topics.topics);
+    let has_losses = reports().any(|report| report.lost > 0);
+    let has_retained = reports().any(|report| report.is_retained);
     if has_losses {
         columns.push("?LOST");
+    }
+    if has_retained {
+        columns.push("?RETAINED");
     }
     let mut table = Table::new(&columns);
     let mut more = 0;
@@ -175,6 +251,9 @@ fn list(answers: &[(String, Topics)]) {
             ];
             if has_losses {
                 cells.push(report.lost.to_string().into());
+            }
+            if has_retained {
+                cells.push(if report.is_retained { "yes" } else { "" }.into());
             }
             table.row(cells);
         }
@@ -234,6 +313,10 @@ fn info(topic: &RobotTopic, topics: &Topics, report: &TopicReport) {
     rect_terminal::outln!("encoding: {}", line(&report.encoding));
     rect_terminal::outln!("last:     {}", bytes(report.last_bytes));
     rect_terminal::outln!("lost:     {}", report.lost);
+    rect_terminal::outln!(
+        "retained: {}",
+        if report.is_retained { "yes" } else { "no" }
+    );
 }
 
 fn as_json(topics: &Topics) -> serde_json::Value {
@@ -254,5 +337,6 @@ fn report_as_json(report: &TopicReport) -> serde_json::Value {
         "last_bytes": report.last_bytes,
         "lost": report.lost,
         "interval_ms": report.interval_ms,
+        "retained": report.is_retained,
     })
 }

@@ -103,6 +103,77 @@ fn sub_prints_messages_as_text_or_json() {
 }
 
 #[test]
+fn retained_value_is_published_printed_and_forgotten() {
+    let (_a, endpoint) = robot("a");
+    // A program without a router keeps the values of its robot.
+    let join = ["--as", "a", "--router", &endpoint];
+    let run = |arguments: &[&str]| ran(&[arguments, &join].concat());
+    let none = run(&["topic", "get", "a/mode"]);
+    assert_eq!(none.status.code(), Some(1));
+    let message = text(&none.stderr);
+    assert!(message.contains("a keeps no value of mode"), "{message}");
+
+    for (place, value) in [("--retained", "auto"), ("--retained=disk", "manual")] {
+        let published = run(&["pub", "mode", place, value]);
+        assert!(published.status.success(), "{}", text(&published.stderr));
+        let got = text(&run(&["topic", "get", "a/mode"]).stdout);
+        assert!(got.ends_with(&format!("): {value}\n")), "{got}");
+    }
+    let got = text(&run(&["topic", "get", "a/mode"]).stdout);
+    assert!(got.starts_with("a/mode (") && got.contains(" ago"), "{got}");
+    let json = run(&["topic", "get", "a/mode", "--json"]).stdout;
+    let json: Value = serde_json::from_slice(&json).expect("JSON");
+    assert_eq!(json["value"], "manual");
+    assert_eq!(json["retained"]["is_forgotten"], false);
+    assert!(json["retained"]["age_s"].as_f64() > Some(0.0), "{json}");
+
+    let subscribe = |arguments: &[&str]| {
+        let arguments = [&["sub", "a/mode"], arguments, &join];
+        let mut command = rect(&arguments.concat());
+        let mut child = Killed(command.stdout(Stdio::piped()).spawn().expect("started"));
+        let lines = BufReader::new(child.0.stdout.take().expect("piped")).lines();
+        (child, lines.map(|line| line.expect("text")))
+    };
+    let (_plain, mut plain) = subscribe(&["--count", "2", "--no-time"]);
+    let (_json, mut json) = subscribe(&["--count", "2", "--json"]);
+    let first = plain.next().expect("the retained value");
+    assert!(
+        first.starts_with("a/mode (retained") && first.ends_with("): manual"),
+        "{first}"
+    );
+    let first: Value = serde_json::from_str(&json.next().expect("a line")).expect("JSON");
+    assert_eq!(first["retained"]["is_forgotten"], false, "{first}");
+
+    let forgotten = run(&["topic", "forget", "mode"]);
+    assert!(forgotten.status.success(), "{}", text(&forgotten.stderr));
+    assert_eq!(plain.next().expect("a line"), "a/mode (forgotten)");
+    let last: Value = serde_json::from_str(&json.next().expect("a line")).expect("JSON");
+    assert_eq!(last["retained"]["is_forgotten"], true, "{last}");
+    assert_eq!(
+        (&last["value"], &last["problem"]),
+        (&Value::Null, &Value::Null)
+    );
+    assert_eq!(run(&["topic", "get", "a/mode"]).status.code(), Some(1));
+}
+
+#[test]
+fn value_that_no_router_keeps_is_published_with_a_warning() {
+    let (a, endpoint) = robot("a");
+    let mut messages = a.subscribe::<Payload>("b/mode").expect("subscribed");
+    let arguments = ["pub", "mode", "auto", "--retained", "--as", "b", "--router"];
+    let published = ran(&[&arguments[..], &[&endpoint]].concat());
+    assert_eq!(published.status.code(), Some(1));
+    let message = text(&published.stderr);
+    assert!(
+        message.contains("mode is not retained: no router"),
+        "{message}"
+    );
+    let message = messages.next_timeout(TIMEOUT).expect("received");
+    assert_eq!(message.payload.text().expect("text"), "auto");
+    assert_eq!(message.retained, None);
+}
+
+#[test]
 fn serve_replies_with_program_output_or_failure() {
     let (a, endpoint) = robot("a");
     let join = ["--as", "b", "--router", &endpoint];
