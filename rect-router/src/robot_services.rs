@@ -119,7 +119,6 @@ impl RobotServices {
         }
         let (own, settings) = (&self.own, &self.settings);
         let keys = format!("{}/{}", settings.fleet, settings.robot);
-        topics::serve(session, &keys)?;
         let (place, programs) = (place(settings)?, Arc::default());
         let state = Arc::new(state::serve(
             session,
@@ -127,6 +126,12 @@ impl RobotServices {
             settings,
             is_served(&programs),
         )?);
+        let retaining = Arc::downgrade(&state);
+        let retained = move || {
+            let state = retaining.upgrade();
+            state.map(|state| state.topics()).unwrap_or_default()
+        };
+        topics::serve(session, &keys, Box::new(retained))?;
         let retaining = Arc::downgrade(&state);
         let is_retained = move |topic: &Topic| {
             let state = retaining.upgrade();

@@ -1,5 +1,5 @@
-//! Answers queries about the topics that the robot's programs publish and their rates: `<fleet>/<robot>/@rect/topics`
-//! (docs/reference/registry.md).
+//! Answers queries about the topics that the robot's programs publish or have retained, and their rates:
+//! `<fleet>/<robot>/@rect/topics` (docs/reference/registry.md).
 //!
 //! A query makes the router count messages, by a subscription to the robot's own keys. They are published at this router, so
 //! that the subscription causes no traffic over the air. It ends a few seconds after the last query.
@@ -18,21 +18,29 @@ use std::{
 use parking_lot::Mutex;
 use rect_core::{
     message::attachment::Attachment,
-    registry::topics::{Counter, Topics, KEEP, KEPT, MAX_KEPT, TOPIC, TOPICS},
+    registry::topics::{Counter, RetainedTopic, Topics, KEEP, KEPT, MAX_KEPT, TOPIC, TOPICS},
 };
-use zenoh::{pubsub::Subscriber, query::Query, sample::Sample, Session, Wait};
+use zenoh::{
+    pubsub::Subscriber,
+    query::Query,
+    sample::{Sample, SampleKind},
+    Session, Wait,
+};
 
 use crate::reply;
 
 /// Maximum number of queries that wait for the one in progress; further queries are answered with an error.
 const MAX_WAITING_QUERIES: usize = 16;
 
+/// Returns the topics that the router retains.
+pub type RetainedTopics = Box<dyn Fn() -> Vec<RetainedTopic> + Send>;
+
 /// Declares the queryable, which answers until the session is closed. `own` is the prefix of the robot's keys,
-/// `<fleet>/<robot>`.
+/// `<fleet>/<robot>`. `retained` returns the topics that are listed even if no message is counted.
 ///
 /// # Errors
 /// Fails if the queryable cannot be declared or the thread cannot be started.
-pub fn serve(session: &Session, own: &str) -> zenoh::Result<()> {
+pub fn serve(session: &Session, own: &str, retained: RetainedTopics) -> zenoh::Result<()> {
     let key = format!("{own}/@rect/{TOPICS}");
     let busy = "too many queries about topics are waiting; try again";
     let next = reply::queue(session, &key, MAX_WAITING_QUERIES, busy)?;
@@ -41,6 +49,7 @@ pub fn serve(session: &Session, own: &str) -> zenoh::Result<()> {
         own: own.to_owned(),
         key,
         measurement: None,
+        retained,
     };
     // A thread of its own ends the count when no more queries arrive.
     thread::Builder::new()
@@ -55,6 +64,7 @@ struct TopicService {
     own: String,
     key: String,
     measurement: Option<Measurement>,
+    retained: RetainedTopics,
 }
 
 /// A running count of messages, until a point in time that each query postpones.
@@ -99,8 +109,9 @@ impl TopicService {
             until: measurement.until.max(now + question.keep),
             ..measurement
         });
-        let counter = measurement.counter.lock();
-        Ok(counter.report(now, question.topic.as_deref()))
+        let topic = question.topic.as_deref();
+        let counted = measurement.counter.lock().report(now, topic);
+        Ok(counted.with_retained((self.retained)(), topic))
     }
 
     fn start(&self, now: Instant) -> zenoh::Result<Measurement> {
@@ -110,6 +121,10 @@ impl TopicService {
             let Some(topic) = sample.key_expr().as_str().strip_prefix(&prefix) else {
                 return;
             };
+            // A topic that is forgotten is not published on.
+            if sample.kind() == SampleKind::Delete {
+                return;
+            }
             let (bytes, encoding) = (sample.payload().len(), sample.encoding().to_string());
             let attachment = sample
                 .attachment()

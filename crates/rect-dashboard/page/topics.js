@@ -62,6 +62,7 @@ export function topics(link, parent, notify) {
     const name = `${row.robot}/${row.topic}`;
     const { hz, bytes_per_s: rate, last_bytes: size, encoding } = row;
     const lost = row.lost > 0 ? ` · ${row.lost} lost` : "";
+    const retained = row.is_retained ? " · retained" : "";
     const button = h(
       "button",
       { "data-topic": name, "aria-pressed": String(name === selected), click: () => choose(name) },
@@ -69,7 +70,7 @@ export function topics(link, parent, notify) {
       h(
         "span",
         { class: "figures" },
-        `${hertz(hz)} · ${bytes(rate)}/s · ${bytes(size)} · ${visible(encoding, 40)}${lost}`,
+        `${hertz(hz)} · ${bytes(rate)}/s · ${bytes(size)} · ${visible(encoding, 40)}${lost}${retained}`,
       ),
     );
     const item = h("li", {}, button);

@@ -318,6 +318,7 @@ impl Observer {
                 bytes_per_s: report.bytes_per_s,
                 last_bytes: report.last_bytes,
                 lost: report.lost,
+                is_retained: report.is_retained,
             })
         });
         let state = State::Topics {

@@ -262,6 +262,8 @@ pub struct TopicRow<'a> {
     pub last_bytes: u64,
     /// Messages that did not reach the robot's own router.
     pub lost: u64,
+    /// Whether the robot's router keeps the last value.
+    pub is_retained: bool,
 }
 
 /// A connection, and what the page shows of its lanes.

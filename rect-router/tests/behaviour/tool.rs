@@ -165,6 +165,25 @@ fn connects_shows_and_measures_robots() {
         rate.contains(" Hz, ") && rate.contains("ms apart"),
         "{rate}"
     );
+    // A retained topic is listed without a program that publishes it.
+    let retained = run(&one, &["pub", "mode", "auto", "--retained"]);
+    assert!(retained.status.success(), "{}", text_of(&retained));
+    let listed = run(&two, &["topic", "list", "wombat-1", "--json"]);
+    let listed: Value = serde_json::from_slice(&listed.stdout).expect("JSON");
+    let topics = listed["wombat-1"]["topics"].as_array().expect("a list");
+    let rows = topics.iter().map(|row| (&row["topic"], &row["retained"]));
+    assert_eq!(
+        rows.collect::<Vec<_>>(),
+        [
+            (&"arm/angle".into(), &false.into()),
+            (&"mode".into(), &true.into())
+        ]
+    );
+    let info = text_of(&run(&two, &["topic", "info", "wombat-1/mode"]));
+    assert!(info.contains("retained: yes"), "{info}");
+    let got = text_of(&run(&two, &["topic", "get", "wombat-1/mode"]));
+    assert!(got.contains("): auto"), "{got}");
+
     let nothing = run(&two, &["topic", "info", "wombat-1/nothing"]);
     assert_eq!(nothing.status.code(), Some(1));
     assert!(
