@@ -23,12 +23,26 @@ def build(request: pytest.FixtureRequest) -> Path:
 
 @pytest.fixture
 def endpoint(monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
-    """Starts a router, makes its endpoint the default in RECT_ENDPOINT, and yields the endpoint."""
+    """Starts a router of no robot, makes its endpoint the default in RECT_ENDPOINT, and yields the endpoint."""
+    yield from _router(monkeypatch)
+
+
+@pytest.fixture
+def own_router(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[None]:
+    """Starts the router of wombat-1, which keeps retained values, and sets RECT_ENDPOINT to its endpoint."""
+    connections = tmp_path / "connections.json"
+    connections.write_text('{"connections": []}')
+    settings = ('plugins/rect/robot:"wombat-1"', f'plugins/rect/connections:"{connections}"')
+    for _ in _router(monkeypatch, *(part for setting in settings for part in ("--cfg", setting))):
+        yield
+
+
+def _router(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> Iterator[str]:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
     monkeypatch.setenv("RECT_ENDPOINT", endpoint)
-    router = [os.environ.get("RECT_ROUTER", "rect-router"), "-l", endpoint, "--no-multicast-scouting"]
+    router = [os.environ.get("RECT_ROUTER", "rect-router"), "-l", endpoint, "--no-multicast-scouting", *arguments]
     with subprocess.Popen(router) as process:
         try:
             yield endpoint

@@ -37,6 +37,10 @@ class Example:
             line = self._lines.get(timeout=_DEADLINE)
         return line
 
+    def until_end(self) -> None:
+        """Waits until the example has ended without an error."""
+        assert self._process.wait(_DEADLINE) == 0
+
     def __enter__(self) -> Example:
         return self
 
@@ -81,16 +85,18 @@ def test_rescue(name: str, examples: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["state", "state_c"])
-def test_state(name: str, examples: Path, tmp_path: Path) -> None:
-    with Example(examples / name, "wombat-1", "auto", folder=tmp_path) as one:
-        one.until("mode: none -> auto")
-    with Example(examples / name, "wombat-2", folder=tmp_path) as two:
-        two.until("wombat-1: auto, for ")
-        with Example(examples / name, "wombat-1", "manual", folder=tmp_path) as one:
-            one.until("mode: auto -> manual")
-            two.until("wombat-1: manual, for 0")
-        with Example(examples / name, "wombat-1", "none", folder=tmp_path):
-            two.until("wombat-1: no mode")
+def test_state(name: str, build: Path, own_router: None, tmp_path: Path) -> None:
+    state = build / "examples" / name
+    with Example(state, "wombat-1", "auto", folder=tmp_path) as setting:
+        setting.until("mode: none -> auto")
+        setting.until_end()
+    with Example(state, "wombat-1", folder=tmp_path) as printing:
+        printing.until("wombat-1: auto, for ")
+        with Example(state, "wombat-1", "manual", folder=tmp_path) as setting:
+            setting.until("mode: auto -> manual")
+            printing.until("wombat-1: manual, for 0")
+        with Example(state, "wombat-1", "none", folder=tmp_path):
+            printing.until("wombat-1: no mode")
 
 
 def test_teleoperation(examples: Path, tmp_path: Path) -> None:
@@ -135,7 +141,9 @@ def test_wombat(examples: Path, tmp_path: Path) -> None:
         one.until("motors off")
 
 
-@pytest.mark.parametrize("name", ["hello", "telemetry", "teleoperation", "camera", "transfer", "request", "state", "wombat"])
+@pytest.mark.parametrize(
+    "name", ["hello", "telemetry", "teleoperation", "camera", "transfer", "request", "state", "wombat"]
+)
 def test_examples_have_less_than_80_lines(name: str) -> None:
     assert len((_REPOSITORY / "examples" / name / "main.cpp").read_text().splitlines()) < 80
 
@@ -145,7 +153,7 @@ def test_examples_have_less_than_80_lines(name: str) -> None:
     [("cpp", "cpp", ["g++", "-std=c++17"]), ("c", "c", ["gcc", "-std=c99"])],
 )
 def test_programs_in_the_documentation_print_the_documented_output(
-    page: str, language: str, compiler: list[str], build: Path, endpoint: str, tmp_path: Path
+    page: str, language: str, compiler: list[str], build: Path, own_router: None, tmp_path: Path
 ) -> None:
     text = (_REPOSITORY / "docs" / "reference" / f"{page}.md").read_text()
     programs = [block for block in re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL) if "int main" in block]
