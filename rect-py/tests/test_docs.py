@@ -148,6 +148,20 @@ def test_request(endpoint: str, tmp_path: Path) -> None:
             two.tool.until("wombat-1 replied with an error: the cell must be 1 or 2")
 
 
-@pytest.mark.parametrize("name", ["hello", "telemetry", "teleoperation", "camera", "transfer", "request"])
+def test_state(simulation: None, tmp_path: Path) -> None:
+    def set_mode(mode: str) -> None:
+        with Example("state", "wombat-1", mode, folder=tmp_path) as one:
+            assert one.process.wait(DEADLINE) == 0
+
+    set_mode("auto")
+    with Example("state", "wombat-1", folder=tmp_path) as two:
+        two.tool.until("wombat-1: auto, for ")
+        set_mode("manual")
+        two.tool.until("wombat-1: manual, for 0 s")
+        set_mode("none")
+        two.tool.until("wombat-1: None, for 0 s")
+
+
+@pytest.mark.parametrize("name", ["hello", "telemetry", "teleoperation", "camera", "transfer", "request", "state"])
 def test_example_is_short(name: str) -> None:
     assert len((_EXAMPLES / name / "main.py").read_text().splitlines()) < 40

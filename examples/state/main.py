@@ -1,0 +1,28 @@
+"""State: a robot retains its mode. A program that starts later receives the last mode of each robot first, and then each change.
+
+python examples/state/main.py wombat-1 auto      # retains the mode, and ends
+python examples/state/main.py wombat-2           # prints the modes of all robots
+python examples/state/main.py wombat-1 none      # forgets the mode
+"""
+
+import sys
+
+import rect
+
+
+def main(me: str = "wombat-1", mode: str = "") -> None:
+    with rect.connect(me) as robot:
+        if mode == "none":
+            robot.forget("mode")
+        elif mode:
+            # The router of this robot keeps the value when this program ends.
+            robot.publish("mode", mode, retained=True)
+        else:
+            # Until Ctrl-C. The value of a topic that was forgotten is None.
+            for message in robot.subscribe("*/mode", str):
+                age = message.retained.age if message.retained else 0
+                print(f"{message.sender}: {message.value}, for {age:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
