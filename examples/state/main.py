@@ -18,10 +18,10 @@ def main(me: str = "wombat-1", mode: str = "") -> None:
             # The router of this robot keeps the value when this program ends.
             robot.publish("mode", mode, retained=True)
         else:
-            # Until Ctrl-C. The value of a topic that was forgotten is None.
+            # Until Ctrl-C. A topic that was forgotten has no value.
             for message in robot.subscribe("*/mode", str):
                 age = message.retained.age if message.retained else 0
-                print(f"{message.sender}: {message.value}, for {age:.0f} s", flush=True)
+                print(f"{message.sender}: {message.value or 'none'}, for {age:.0f} s", flush=True)
 
 
 if __name__ == "__main__":

@@ -159,7 +159,7 @@ def test_state(simulation: None, tmp_path: Path) -> None:
         set_mode("manual")
         two.tool.until("wombat-1: manual, for 0 s")
         set_mode("none")
-        two.tool.until("wombat-1: None, for 0 s")
+        two.tool.until("wombat-1: none, for 0 s")
 
 
 @pytest.mark.parametrize("name", ["hello", "telemetry", "teleoperation", "camera", "transfer", "request", "state"])

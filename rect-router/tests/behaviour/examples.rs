@@ -215,3 +215,26 @@ fn a_file_is_transferred() {
     sending.expect("built").wait_for("map.bin: complete");
     taking.wait_for("map.bin from wombat-2");
 }
+
+#[test]
+fn a_late_program_receives_the_last_mode() {
+    let simulation = Simulation::start();
+    let folder = tempfile::tempdir().expect("a folder");
+    let start = |arguments: &[&str]| {
+        Example::start("state", arguments, &simulation.endpoint, folder.path())
+    };
+    let set = |mode| {
+        let mut setting = start(&["wombat-1", mode])?;
+        Some(setting.child.wait().expect("our child").success())
+    };
+    let Some(is_kept) = set("auto") else {
+        return;
+    };
+    assert!(is_kept);
+    let printing = start(&["wombat-1"]).expect("built");
+    printing.wait_for("wombat-1: auto, for ");
+    assert_eq!(set("manual"), Some(true));
+    printing.wait_for("wombat-1: manual, for 0 s");
+    assert_eq!(set("none"), Some(true));
+    printing.wait_for("wombat-1: none, for 0 s");
+}
