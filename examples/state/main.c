@@ -19,19 +19,13 @@ static void check(rect_code code) {
     }
 }
 
-static void set_mode(rect_robot robot, const char *name, const char *mode) {
+static void set_mode(rect_robot robot, const char *mode) {
     rect_robot retaining;
-    rect_message previous;
     const rect_payload payload = rect_payload_text(mode);
     if (strcmp(mode, "none") == 0) {
         check(rect_robot_forget(robot, "mode", &error));
         return;
     }
-    /* Without a previous mode, the message is empty, and its id is 0. */
-    check(rect_robot_latest(robot, name, "mode", 10000, &previous, &error));
-    printf("mode: %.*s -> %s\n", previous.id ? (int)previous.payload.len : 4,
-           previous.id ? (const char *)previous.payload.data : "none", mode);
-    rect_drop(&previous.id, NULL);
     /* The router of this robot keeps the value when this program ends. */
     check(rect_robot_retained(robot, &retaining, &error));
     check(rect_robot_publish(retaining, "mode", &payload, &error));
@@ -39,13 +33,12 @@ static void set_mode(rect_robot robot, const char *name, const char *mode) {
 }
 
 int main(int argc, char **argv) {
-    const char *name = argc > 1 ? argv[1] : "wombat-1";
     rect_robot robot;
     rect_subscriber modes;
     rect_message message;
-    check(rect_connect(name, NULL, &robot, &error));
+    check(rect_connect(argc > 1 ? argv[1] : "wombat-1", NULL, &robot, &error));
     if (argc > 2) {
-        set_mode(robot, name, argv[2]);
+        set_mode(robot, argv[2]);
         rect_drop(&robot.id, NULL);
         return 0;
     }
@@ -55,10 +48,11 @@ int main(int argc, char **argv) {
         check(rect_subscriber_next(modes, RECT_FOREVER, &message, &error));
         printf("%.*s: ", (int)message.sender.len, (const char *)message.sender.data);
         if (message.is_forgotten) {
-            printf("no mode\n");
+            /* The message has no value. */
+            printf("none, for 0 s\n");
         } else {
-            printf("%.*s, for %g s\n", (int)message.payload.len, (const char *)message.payload.data,
-                   message.retained ? message.age_s : 0);
+            printf("%.*s, for %d s\n", (int)message.payload.len, (const char *)message.payload.data,
+                   message.retained ? (int)message.age_s : 0);
         }
         fflush(stdout);
         rect_drop(&message.id, NULL);

@@ -86,17 +86,17 @@ def test_rescue(name: str, examples: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["state", "state_c"])
 def test_state(name: str, build: Path, own_router: None, tmp_path: Path) -> None:
-    state = build / "examples" / name
-    with Example(state, "wombat-1", "auto", folder=tmp_path) as setting:
-        setting.until("mode: none -> auto")
-        setting.until_end()
-    with Example(state, "wombat-1", folder=tmp_path) as printing:
+    def set_mode(mode: str) -> None:
+        with Example(build / "examples" / name, "wombat-1", mode, folder=tmp_path) as setting:
+            setting.until_end()
+
+    set_mode("auto")
+    with Example(build / "examples" / name, "wombat-1", folder=tmp_path) as printing:
         printing.until("wombat-1: auto, for ")
-        with Example(state, "wombat-1", "manual", folder=tmp_path) as setting:
-            setting.until("mode: auto -> manual")
-            printing.until("wombat-1: manual, for 0")
-        with Example(state, "wombat-1", "none", folder=tmp_path):
-            printing.until("wombat-1: no mode")
+        set_mode("manual")
+        printing.until("wombat-1: manual, for 0 s")
+        set_mode("none")
+        printing.until("wombat-1: none, for 0 s")
 
 
 def test_teleoperation(examples: Path, tmp_path: Path) -> None:
