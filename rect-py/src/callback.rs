@@ -6,7 +6,11 @@ use pyo3::{intern, prelude::*, types::PyBytes};
 use rect_core::{catalogue::Instance, message::Undelivered, session::service::ServiceQuery};
 
 use crate::{
-    connection::Links, counters::AtomicCounters, driver::bytes_of, message::Inbound, queue::Queue,
+    connection::Links,
+    counters::AtomicCounters,
+    driver::{bytes_of, is_delete},
+    message::Inbound,
+    queue::Queue,
     retry::Once,
 };
 
@@ -77,10 +81,13 @@ impl OnMessage {
         let attachment = attachment.as_ref().map(|bytes| bytes.extract::<&[u8]>());
         let priority = sample.getattr(intern!(py, "priority"))?;
         let priority: u8 = priority.call_method0(intern!(py, "__int__"))?.extract()?;
+        let kind = sample.getattr(intern!(py, "kind"))?;
+        let is_deleted = is_delete(&kind)?;
         let metadata = self.inbound.get().on_delivery(
             &key.to_cow()?,
             attachment.transpose()?,
             priority,
+            is_deleted,
             self.subscription,
         );
         let counters = &self.counters.get().0;

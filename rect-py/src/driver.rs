@@ -5,7 +5,7 @@ mod sessions;
 mod step;
 
 pub use fields::{ConnectionsReport, Servers, ToPython};
-pub use report::{bytes_of, Report};
+pub use report::{bytes_of, is_delete, Report};
 pub use sessions::{
     direct_presence, established_wait, expected_connection, interrupted, no_service, not_reachable,
     observer, peer_wait, peers_query, reachable_robots, registry_change, registry_query,

@@ -66,7 +66,9 @@ mod _rect {
         retry::{retried_request, Execution, Once},
         router::{check_router, default_login_file, robot_of_router, JoinAttempts},
         settings::{default_router, session_settings},
-        state::{latest, state_keeper, KeptValue, ProgramState, RetainedValue, StateOrder},
+        state::{
+            latest, state_keeper, KeptValue, ProgramState, RetainedValue, StateArrival, StateOrder,
+        },
         stream::{FrameReader, Job, StreamPublish, StreamWatch},
         transfer::{OfferedTransfer, TransferPull, TransferPush, TransferReception},
         urgency::{choose_session, qos},

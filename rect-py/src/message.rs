@@ -14,7 +14,7 @@ use rect_core::{
         topic::Pattern,
         Name,
     },
-    state::{page::Value, program::Following},
+    state::program::{Arrival, Following},
 };
 
 use crate::{
@@ -80,6 +80,7 @@ impl Inbound {
         key: &str,
         attachment: Option<&[u8]>,
         priority: u8,
+        is_deleted: bool,
         subscription: usize,
     ) -> Result<MessageMetadata, Undelivered> {
         let delivered = Delivery {
@@ -88,6 +89,7 @@ impl Inbound {
             payload: Payload::new(Bytes::new(), Encoding::BYTES),
             attachment,
             priority,
+            is_deleted,
             subscription,
         };
         let delivered = self.inbound().on_delivery(delivered, Instant::now);
@@ -106,9 +108,9 @@ impl Inbound {
         self.inbound().follow(following);
     }
 
-    /// Makes a message of a retained value, if it is selected and was not delivered before.
-    pub fn on_retained(&self, value: &Value) -> Option<MessageMetadata> {
-        self.inbound().on_retained(value).map(MessageMetadata)
+    /// Returns the messages of retained values that are selected and were not delivered before.
+    pub fn on_retained(&self, arrival: &Arrival) -> Vec<Message> {
+        self.inbound().on_retained(arrival)
     }
 
     fn inbound(&self) -> MutexGuard<'_, message::Inbound> {

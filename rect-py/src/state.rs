@@ -12,7 +12,7 @@ use rect_core::{
         keeper::{Disk, Item, StateKeeper},
         latest::Latest,
         page::{self, Order, Value},
-        program,
+        program::{self, Arrival},
         retain::{Outcome, Retain},
     },
 };
@@ -45,7 +45,11 @@ struct Receiver {
     links: Option<Py<Links>>,
 }
 
-/// A value from the router.
+/// Something from the router, for the subscriptions.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct StateArrival(Arrival);
+
+/// The last value of a topic.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct RetainedValue(Value);
 
@@ -119,21 +123,21 @@ impl ProgramState {
         lock(&self.core).unsubscribe(number);
     }
 
-    /// Delivers a value to all subscriptions that select it.
-    fn deliver(&self, py: Python<'_>, value: &RetainedValue) -> PyResult<()> {
+    /// Delivers something from the router to all subscriptions that select it.
+    fn deliver(&self, py: Python<'_>, arrival: &StateArrival) -> PyResult<()> {
         // A queue without room blocks, and the program may end a subscription meanwhile.
         let receivers = self.receivers().clone();
         for (_, receiver) in receivers {
-            let Some(metadata) = receiver.inbound.get().on_retained(&value.0) else {
-                continue;
-            };
-            let links = receiver.links.as_ref();
-            let method = links.and_then(|links| links.get().method_of(metadata.sender_name()));
-            let (bytes, encoding) = parts(py, &value.0.payload);
-            let counters = &receiver.counters.get().0;
-            counters.on_received(value.0.payload.bytes.len(), 0);
-            let item = (metadata, bytes, encoding, method).into_pyobject(py)?;
-            receiver.queue.get().push(py, item.into_any().unbind())?;
+            for message in receiver.inbound.get().on_retained(&arrival.0) {
+                let links = receiver.links.as_ref();
+                let method = links.and_then(|links| links.get().method_of(&message.sender));
+                let (bytes, encoding) = parts(py, &message.payload);
+                let counters = &receiver.counters.get().0;
+                counters.on_received(message.payload.bytes.len(), 0);
+                let metadata = MessageMetadata::of(message);
+                let item = (metadata, bytes, encoding, method).into_pyobject(py)?;
+                receiver.queue.get().push(py, item.into_any().unbind())?;
+            }
         }
         Ok(())
     }
@@ -218,9 +222,9 @@ fn now_ms() -> u64 {
     ms_since_1970(SystemTime::now())
 }
 
-impl ToPython for Value {
+impl ToPython for Arrival {
     fn to_python(self, py: Python<'_>) -> PyResult<Py<PyAny>> {
-        RetainedValue(self).into_py_any(py)
+        StateArrival(self).into_py_any(py)
     }
 }
 

@@ -13,15 +13,13 @@ pub mod request;
 pub mod sequence;
 pub mod urgency;
 
-use std::{
-    collections::BTreeMap,
-    time::{Duration, Instant, SystemTime},
-};
+use std::time::{Duration, Instant, SystemTime};
 
 use zenoh_keyexpr::keyexpr;
 
 use self::{
     attachment::{Attachment, Sent},
+    encoding::Encoding,
     gaps::{Gaps, SenderCounts},
     payload::{FromPayload, Payload, PayloadError},
     urgency::Urgency,
@@ -32,7 +30,12 @@ use crate::{
         topic::Topic,
         Name,
     },
-    state::{live::Live, page::Value, program::Following, Origin, Retained},
+    state::{
+        live::Live,
+        order::RetainedOrder,
+        program::{Arrival, Following},
+        Retained,
+    },
 };
 
 /// A message from another robot, or from another program of this robot. `T` is the type that the program has stated for
@@ -144,6 +147,8 @@ pub struct Delivery<'a> {
     pub attachment: Option<&'a [u8]>,
     /// Zenoh's priority, 1 to 7.
     pub priority: u8,
+    /// Whether the key was deleted.
+    pub is_deleted: bool,
     /// The number of the subscription through which it arrived, among those of [`Inbound::new`].
     pub subscription: usize,
 }
@@ -172,8 +177,7 @@ pub struct Inbound {
     last: Option<(String, Address, usize)>,
     /// Whether retained messages come from the router.
     following: Following,
-    /// The retained values that were delivered.
-    retained: BTreeMap<(Name, Topic), Origin>,
+    retained: RetainedOrder,
 }
 
 impl Inbound {
@@ -185,7 +189,7 @@ impl Inbound {
             gaps: Gaps::new(now),
             last: None,
             following: Following::default(),
-            retained: BTreeMap::new(),
+            retained: RetainedOrder::default(),
         }
     }
 
@@ -194,23 +198,41 @@ impl Inbound {
         self.following = following;
     }
 
-    /// Returns the message of a retained value from the router, if one of the subscriptions selects it and it was not delivered before.
-    pub fn on_retained(&mut self, value: &Value) -> Option<Message> {
-        let robot = value.robot.as_ref()?;
-        let key = self.keys.service(Some(robot), &value.topic);
+    /// Returns the messages of retained values from the router that one of the subscriptions selects, and that were not delivered before.
+    pub fn on_retained(&mut self, arrival: &Arrival) -> Vec<Message> {
+        match arrival {
+            Arrival::Value { value, router } => {
+                let Some(robot) = value.robot.clone() else {
+                    return Vec::new();
+                };
+                let is_new =
+                    self.selects(&robot, &value.topic) && self.retained.on_value(value, *router);
+                is_new.then(|| value.message(robot)).into_iter().collect()
+            }
+            Arrival::Complete { robot, at, router } => {
+                let topics = self.retained.on_complete(robot, *at, *router);
+                let forgotten = topics.into_iter().map(|topic| Message {
+                    value: Err(PayloadError::Forgotten),
+                    retained: Some(Retained {
+                        is_forgotten: true,
+                        ..Retained::default()
+                    }),
+                    ..Message::new(robot.clone(), topic, Payload::new("", Encoding::BYTES))
+                });
+                forgotten.collect()
+            }
+        }
+    }
+
+    /// Returns whether a subscription selects a topic of a robot that is published to all.
+    fn selects(&self, robot: &Name, topic: &Topic) -> bool {
+        let key = self.keys.service(Some(robot), topic);
+        let Ok(key) = keyexpr::new(&key) else {
+            return false;
+        };
         let all = (self.selected.iter()).filter(|selected| selected.audience == Audience::All);
-        let keys = keyexpr::new(&key).ok()?;
-        let mut selected = all.filter_map(|selected| keyexpr::new(&selected.key).ok());
-        if !selected.any(|selected| selected.intersects(keys)) {
-            return None;
-        }
-        let topic = (robot.clone(), value.topic.clone());
-        if value.is_forgotten {
-            self.retained.remove(&topic)?;
-        } else if self.retained.insert(topic, value.origin) == Some(value.origin) {
-            return None;
-        }
-        Some(value.message(robot.clone()))
+        let mut keys = all.filter_map(|selected| keyexpr::new(&selected.key).ok());
+        keys.any(|selected| selected.intersects(key))
     }
 
     /// Returns the message that a sample contains. `now` is only called if the message expires.
@@ -224,8 +246,11 @@ impl Inbound {
     ) -> Result<Message, Undelivered> {
         let address = self.parse(delivered.key, delivered.subscription)?;
         let live = delivered.attachment.and_then(Live::decode);
-        if live.is_some() && self.following.is_active() {
-            return Err(Undelivered::NotSelected);
+        if let Some(live) = live.filter(|_| self.following.is_active()) {
+            let (robot, topic) = (&address.sender, &address.topic);
+            if !(self.retained).on_live(robot, topic, live, delivered.is_deleted) {
+                return Err(Undelivered::NotSelected);
+            }
         }
         let attachment = delivered.attachment.and_then(Attachment::decode);
         let mut message = Message {
@@ -238,7 +263,13 @@ impl Inbound {
                 self.gaps.on_unnumbered(&message.sender);
                 if let Some(live) = live {
                     message.sent_at = Sent::At(live.sent_ms).at();
-                    message.retained = Some(Retained::default());
+                    message.retained = Some(Retained {
+                        is_forgotten: delivered.is_deleted,
+                        ..Retained::default()
+                    });
+                    if delivered.is_deleted {
+                        message.value = Err(PayloadError::Forgotten);
+                    }
                 }
             }
             Some(attachment) => {
@@ -337,6 +368,7 @@ mod tests {
             payload: Payload::new("1", Encoding::JSON),
             attachment,
             priority: 5,
+            is_deleted: false,
             subscription: usize::from(key.contains("/to/")),
         }
     }

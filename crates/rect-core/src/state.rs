@@ -2,7 +2,8 @@
 //!
 //! The router of a robot keeps the values that its programs retain, and numbers them ([`keeper`]); a program without a router keeps its own.
 //! Only the keeper of a robot decides about its values. Other routers have copies of those that their programs subscribe to. A program asks
-//! its own router alone ([`program`]), and waits there for changes, so that it receives each value once, and in order.
+//! its own router alone ([`program`]), and waits there for changes. It also receives each change as it is published, so that a subscription
+//! delivers each value once, and none after a newer one ([`order`]).
 //!
 //! Values travel in [`page`]s: what changed since a number. A value that changes is also published as any message, with a [`live`]
 //! attachment, for subscribers that do not use RECT and for the copies.
@@ -11,6 +12,7 @@ mod followers;
 pub mod keeper;
 pub mod latest;
 pub mod live;
+pub(crate) mod order;
 pub mod page;
 mod polls;
 pub mod program;

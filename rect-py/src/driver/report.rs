@@ -153,7 +153,7 @@ fn text(object: &Bound<'_, PyAny>, name: &Bound<'_, pyo3::types::PyString>) -> P
 }
 
 /// Returns whether a `SampleKind` is `DELETE`.
-fn is_delete(kind: &Bound<'_, PyAny>) -> PyResult<bool> {
+pub fn is_delete(kind: &Bound<'_, PyAny>) -> PyResult<bool> {
     kind.eq(kind.get_type().getattr(intern!(kind.py(), "DELETE"))?)
 }
 

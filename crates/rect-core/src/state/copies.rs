@@ -309,7 +309,7 @@ impl Copies {
             copied.runs.push(page.run);
         }
         let was_complete = copied.is_complete && previous.is_some();
-        copied.is_complete = page.complete.iter().any(String::is_empty);
+        copied.is_complete = page.complete.iter().any(|(robot, _)| robot.is_empty());
         let has_completed = copied.is_complete && (is_new || !was_complete);
         let forgotten = match is_new {
             true => keys,

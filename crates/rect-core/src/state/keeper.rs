@@ -10,7 +10,7 @@ use bytes::Bytes;
 use zenoh_keyexpr::OwnedKeyExpr;
 
 use super::{
-    copies::{is_of, Copies},
+    copies::{is_of, Copied, Copies},
     followers::Followers,
     live::Live,
     page::{checked, read, selects, write, Kept, Order, Page, Question, Value},
@@ -462,7 +462,8 @@ impl StateKeeper {
         let since = since.filter(|Position(run, _)| *run == self.run);
         let is_new = |at: u64| since.is_none_or(|Position(_, number)| at > number);
         if self.grace.is_none() && (is_own || is_new(self.complete_at)) {
-            page.complete.push(String::new());
+            let at = Position(self.run, self.store.last());
+            page.complete.push((String::new(), at));
         }
         if !is_own {
             let others = self.copies.all().filter(|(robot, copied)| {
@@ -470,8 +471,10 @@ impl StateKeeper {
                     && is_new(copied.complete_at)
                     && copied.covers(fleet, robot, keys)
             });
-            page.complete
-                .extend(others.map(|(robot, _)| robot.to_string()));
+            let complete = |(robot, copied): (&Name, &Copied)| {
+                copied.position().map(|at| (robot.to_string(), at))
+            };
+            page.complete.extend(others.filter_map(complete));
         }
         page
     }
@@ -666,6 +669,7 @@ impl StateKeeper {
             sent_ms: live.sent_ms,
             age: Duration::ZERO,
             has_ended: false,
+            kept: None,
         };
         self.copy(&robot, value, live.position.0, now);
     }
@@ -681,7 +685,8 @@ impl StateKeeper {
             }
             if existing.origin == value.origin && existing.payload.is_none() == value.is_forgotten {
                 let has_ended = value.has_ended;
-                let is_change = existing.has_ended != has_ended;
+                // Programs compare positions of one run.
+                let is_change = existing.has_ended != has_ended || known.is_none();
                 self.store.update(&key, is_change, |existing| {
                     (existing.kept, existing.has_ended) = (Some(at), has_ended);
                 });

@@ -50,7 +50,7 @@ impl Latest {
     fn on_page(&mut self, id: Id, page: Page) {
         let is_own = self.robot == self.place.robot;
         let name = if is_own { "" } else { self.robot.as_str() };
-        let is_complete = page.complete.iter().any(|robot| robot == name);
+        let is_complete = page.complete.iter().any(|(robot, _)| robot == name);
         let is_of_robot = |value: &Value| match (&value.robot, id) {
             (None, OWN) => is_own,
             (None, _) => true,

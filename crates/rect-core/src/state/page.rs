@@ -136,10 +136,10 @@ pub struct Page {
     /// Whether there is more after it.
     #[serde(rename = "m")]
     pub more: bool,
-    /// The robots whose values are complete, so that those that no page of this run contained are forgotten. The router's own robot has no
-    /// name here.
+    /// The robots whose values are complete up to a position at their routers, so that those that no page of this run contained are
+    /// forgotten. The router's own robot has no name here.
     #[serde(rename = "c")]
-    pub complete: Vec<String>,
+    pub complete: Vec<(String, Position)>,
     /// The values.
     #[serde(rename = "v")]
     pub records: Vec<Value>,
@@ -169,6 +169,8 @@ pub struct Value {
     pub has_ended: bool,
     /// Whether it was forgotten.
     pub is_forgotten: bool,
+    /// Its position at the router of its robot; `None`: that is the router which answers.
+    pub kept: Option<Position>,
 }
 
 impl Value {
@@ -193,7 +195,18 @@ impl Value {
 }
 
 /// The fields of a value on the wire: robot and encoding are empty for the router's own and for JSON.
-type Wire = (String, String, u64, Origin, u8, u64, u64, String, Bytes);
+type Wire = (
+    String,
+    String,
+    u64,
+    Origin,
+    u8,
+    u64,
+    u64,
+    String,
+    Bytes,
+    Option<Position>,
+);
 
 impl From<Value> for Wire {
     fn from(value: Value) -> Self {
@@ -220,6 +233,7 @@ impl From<Value> for Wire {
             u64::try_from(value.age.as_millis()).unwrap_or(u64::MAX),
             encoding,
             value.payload.bytes,
+            value.kept,
         )
     }
 }
@@ -228,7 +242,7 @@ impl TryFrom<Wire> for Value {
     type Error = String;
 
     fn try_from(wire: Wire) -> Result<Self, String> {
-        let (robot, topic, number, origin, flags, sent_ms, age_ms, encoding, bytes) = wire;
+        let (robot, topic, number, origin, flags, sent_ms, age_ms, encoding, bytes, kept) = wire;
         let robot = match robot.as_str() {
             "" => None,
             robot => Some(Name::new(robot).map_err(|error| error.to_string())?),
@@ -256,6 +270,7 @@ impl TryFrom<Wire> for Value {
             age: Duration::from_millis(age_ms),
             has_ended: flags & HAS_ENDED != 0,
             is_forgotten: flags & IS_FORGOTTEN != 0,
+            kept,
         })
     }
 }
@@ -316,6 +331,7 @@ mod tests {
             age: Duration::from_millis(1500),
             has_ended: true,
             is_forgotten: false,
+            kept: None,
         }
     }
 
@@ -325,7 +341,7 @@ mod tests {
             run: 0xABCD_EF01,
             at: 300,
             more: false,
-            complete: vec![String::new()],
+            complete: vec![(String::new(), Position(1, 300))],
             records: vec![value(); 50],
         };
         let written = write(&page);

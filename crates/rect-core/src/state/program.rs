@@ -13,7 +13,6 @@ use zenoh_keyexpr::OwnedKeyExpr;
 
 use super::{
     page::{read, write, Kept, Order, Page, Value},
-    store::{is_selected, Key},
     Origin, Position, OF_PROGRAMS,
 };
 use crate::{
@@ -61,6 +60,27 @@ impl Following {
     }
 }
 
+/// Something from the router of a program, for its subscriptions.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Arrival {
+    /// A value, with the name of its robot.
+    Value {
+        /// The value.
+        value: Value,
+        /// The run of the program's router.
+        router: u32,
+    },
+    /// All values of a robot have arrived: others are forgotten.
+    Complete {
+        /// The robot.
+        robot: Name,
+        /// The position at the robot's router up to which all are known.
+        at: Position,
+        /// The run of the program's router.
+        router: u32,
+    },
+}
+
 /// A value that this program has published.
 #[derive(Debug)]
 struct Own {
@@ -83,8 +103,6 @@ pub struct ProgramState {
     subscriptions: BTreeMap<u64, Vec<OwnedKeyExpr>>,
     next_subscription: u64,
     own: BTreeMap<Topic, Own>,
-    /// The values that were delivered, and the run of the router which had them last.
-    known: BTreeMap<Key, u32>,
     position: Option<Position>,
     /// The run of the router that answered last.
     router: Option<u32>,
@@ -97,7 +115,7 @@ pub struct ProgramState {
     returned: BTreeMap<Id, Topic>,
     next: u64,
     actions: VecDeque<Action>,
-    items: VecDeque<Value>,
+    items: VecDeque<Arrival>,
     is_closed: bool,
 }
 
@@ -112,7 +130,6 @@ impl ProgramState {
             subscriptions: BTreeMap::new(),
             next_subscription: 0,
             own: BTreeMap::new(),
-            known: BTreeMap::new(),
             position: None,
             router: None,
             following: Following::default(),
@@ -154,9 +171,6 @@ impl ProgramState {
     /// Removes a subscription.
     pub fn unsubscribe(&mut self, subscription: u64) {
         self.subscriptions.remove(&subscription);
-        let keys = self.keys();
-        let fleet = &self.place.fleet;
-        self.known.retain(|key, _| is_selected(fleet, &keys, key));
     }
 
     fn next_origin(&mut self) -> Origin {
@@ -262,22 +276,20 @@ impl ProgramState {
             let robot = value.robot.get_or_insert_with(|| own.clone()).clone();
             if robot == own {
                 self.on_own(&value, page.run);
+                value.kept = Some(Position(page.run, value.number));
             }
-            let key = (robot, value.topic.clone());
-            if value.is_forgotten {
-                self.known.remove(&key);
-            } else if self.is_subscribed(&key) {
-                self.known.insert(key, page.run);
-            }
-            self.items.push_back(value);
+            let router = page.run;
+            self.items.push_back(Arrival::Value { value, router });
         }
-        for robot in page.complete {
+        for (robot, at) in page.complete {
             let robot = match robot.as_str() {
                 "" => Ok(own.clone()),
                 robot => Name::new(robot),
             };
             if let Ok(robot) = robot {
-                self.forget_others(&robot, page.run);
+                let router = page.run;
+                self.items
+                    .push_back(Arrival::Complete { robot, at, router });
             }
         }
         self.position = Some(Position(page.run, page.at));
@@ -291,36 +303,6 @@ impl ProgramState {
         });
         if is_replaced {
             self.own.remove(&value.topic);
-        }
-    }
-
-    fn is_subscribed(&self, key: &Key) -> bool {
-        let fleet = &self.place.fleet;
-        let mut all = self.subscriptions.values();
-        all.any(|keys| is_selected(fleet, keys, key))
-    }
-
-    /// Delivers that values of a robot are forgotten which its router does not have any more.
-    fn forget_others(&mut self, robot: &Name, run: u32) {
-        let gone = self
-            .known
-            .iter()
-            .filter(|((of, _), known)| of == robot && **known != run);
-        let gone: Vec<_> = gone.map(|(key, _)| key.clone()).collect();
-        for key in gone {
-            self.known.remove(&key);
-            self.items.push_back(Value {
-                robot: Some(key.0),
-                topic: key.1,
-                number: 0,
-                origin: Origin(0, 0),
-                payload: Payload::new("", Encoding::BYTES),
-                urgency: Urgency::Normal,
-                sent_ms: 0,
-                age: Duration::ZERO,
-                has_ended: false,
-                is_forgotten: true,
-            });
         }
     }
 
@@ -395,10 +377,10 @@ pub(super) fn order_to(place: &KeySpace, order: &Order, timeout: Duration) -> Ge
 }
 
 impl Driver for ProgramState {
-    type Item = Value;
+    type Item = Arrival;
     type Output = ();
 
-    fn on_event(&mut self, now: Instant, event: Event) -> Reaction<Value> {
+    fn on_event(&mut self, now: Instant, event: Event) -> Reaction<Arrival> {
         match event {
             Event::Reply { id, reply } => {
                 self.on_reply(id, reply.map(|sample| sample.payload), now);
@@ -412,7 +394,7 @@ impl Driver for ProgramState {
         Reaction::POLL
     }
 
-    fn poll(&mut self, now: Instant) -> Step<Value, ()> {
+    fn poll(&mut self, now: Instant) -> Step<Arrival, ()> {
         if self.is_closed {
             return Step::Finished(());
         }

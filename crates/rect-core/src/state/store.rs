@@ -267,6 +267,7 @@ impl Entry {
             age: now.saturating_duration_since(self.since),
             has_ended: self.has_ended,
             is_forgotten: self.payload.is_none(),
+            kept: self.kept.filter(|_| robot != own),
         }
     }
 

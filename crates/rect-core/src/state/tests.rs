@@ -10,14 +10,14 @@ use zenoh_keyexpr::keyexpr;
 use super::{
     keeper::{Disk, Item, StateKeeper},
     page::Order,
-    program::ProgramState,
+    program::{Arrival, ProgramState},
     retain::{Outcome, Retain},
     Origin,
 };
 use crate::{
     catalogue::{token::Token, Instance},
     driver::{Action, Answer, Declaration, Driver, Event, Id, QueryId, Sample, Step},
-    message::{encoding::Encoding, payload::Payload, urgency::Urgency, Inbound},
+    message::{encoding::Encoding, payload::Payload, urgency::Urgency, Delivery, Inbound, Message},
     name::{
         key::KeySpace,
         topic::{Pattern, Topic},
@@ -384,7 +384,7 @@ impl World {
                             self.ask(node, epoch, id, robot, get.selector, payload);
                         }
                         Step::Act(_) => {}
-                        Step::Deliver(value) => self.on_value(robot, number, &value),
+                        Step::Deliver(arrival) => self.on_arrival(robot, number, &arrival),
                         Step::Wait(at) => {
                             if let Some(at) = at {
                                 let wait = at.saturating_duration_since(now);
@@ -399,11 +399,36 @@ impl World {
         }
     }
 
-    fn on_value(&mut self, robot: usize, number: usize, value: &super::page::Value) {
+    fn on_arrival(&mut self, robot: usize, number: usize, arrival: &Arrival) {
         let program = self.programs.get_mut(&(robot, number)).expect("it runs");
-        let Some(message) = program.inbound.on_retained(value) else {
-            return;
+        let origin = match arrival {
+            Arrival::Value { value, .. } => value.origin,
+            Arrival::Complete { .. } => Origin(0, 0),
         };
+        for message in program.inbound.on_retained(arrival) {
+            self.on_message(robot, number, message, origin);
+        }
+    }
+
+    fn on_live(&mut self, robot: usize, number: usize, sample: &Sample) {
+        let program = self.programs.get_mut(&(robot, number)).expect("it runs");
+        let delivery = Delivery {
+            key: &sample.key,
+            payload: sample.payload.clone(),
+            attachment: sample.attachment.as_deref(),
+            priority: 5,
+            is_deleted: sample.is_deleted,
+            subscription: 0,
+        };
+        let live = super::live::Live::decode(sample.attachment.as_deref().expect("retained"));
+        let message = program.inbound.on_delivery(delivery, Instant::now);
+        if let Ok(message) = message {
+            self.on_message(robot, number, message, live.expect("retained").origin);
+        }
+    }
+
+    fn on_message(&mut self, robot: usize, number: usize, message: Message, origin: Origin) {
+        let program = self.programs.get_mut(&(robot, number)).expect("it runs");
         let retained = message.retained.expect("it is retained");
         let key = (message.sender, message.topic);
         if retained.is_forgotten {
@@ -413,17 +438,17 @@ impl World {
         }
         let order = &self.history[&key];
         let place = |origin| order.iter().position(|one| *one == origin);
-        let is_first = program.all.insert((key.clone(), value.origin));
+        let is_first = program.all.insert((key.clone(), origin));
         assert!(
             is_first,
             "{robot} {number}: {key:?} {:?} is repeated",
-            value.origin
+            origin
         );
-        if let Some(before) = program.got.insert(key.clone(), value.origin) {
+        if let Some(before) = program.got.insert(key.clone(), origin) {
             assert!(
-                place(value.origin) > place(before),
+                place(origin) > place(before),
                 "{robot} {number}: {key:?}: {:?} after {before:?} of {order:?}",
-                value.origin
+                origin
             );
         }
     }
@@ -460,10 +485,10 @@ impl World {
                 };
                 for other in 0..ROBOTS {
                     let run = self.routers[other].as_ref().map(|router| router.run);
-                    if let (Some(path), Some(run), true) =
-                        (self.path(robot, other), run, robot != other)
-                    {
-                        self.bytes += 60 + sample.payload.bytes.len();
+                    if let (Some(path), Some(run)) = (self.path(robot, other), run) {
+                        if other != robot {
+                            self.bytes += 60 + sample.payload.bytes.len();
+                        }
                         let wait = self.hop(&path);
                         let published =
                             Happening::Published(other, run, sample.clone(), path.clone());
@@ -657,9 +682,22 @@ impl World {
                         .then_some(*id)
                 });
                 let matches: Vec<_> = matches.collect();
-                for id in matches {
-                    let sample = sample.clone();
-                    self.on_event(Node::Router(to), Event::Sample { id, sample });
+                let program_is_first = self.below(2) == 0;
+                for is_program in [program_is_first, !program_is_first] {
+                    if is_program {
+                        for number in 0..2 {
+                            let program = self.programs.get(&(to, number));
+                            let selects = number == 0 || sample.key.ends_with("/t1");
+                            if selects && program.is_some_and(|program| program.is_registered) {
+                                self.on_live(to, number, &sample);
+                            }
+                        }
+                        continue;
+                    }
+                    for &id in &matches {
+                        let sample = sample.clone();
+                        self.on_event(Node::Router(to), Event::Sample { id, sample });
+                    }
                 }
             }
             Happening::Tokens => self.on_tokens(),

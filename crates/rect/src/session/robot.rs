@@ -446,16 +446,28 @@ impl Robot {
     }
 
     /// Publishes a message of a recording again, on its own topic or another one, with its urgency and to its recipient. Receivers
-    /// can tell it from live messages by [`Message::replayed`](crate::Message::replayed).
+    /// can tell it from live messages by [`Message::replayed`](crate::Message::replayed), unless its topic was retained: then the value is
+    /// retained again, in memory, or the topic is forgotten again.
     ///
     /// # Errors
-    /// Returns the errors of [`publish`](Self::publish), and [`Error::Name`] if the recipient is not a valid name.
+    /// Returns the errors of [`publish`](Self::publish), [`Error::Name`] if the recipient is not a valid name, and
+    /// [`Error::NotRetained`] if the value of a retained topic is not kept.
     ///
     /// # Cancel safety
     /// If the future is dropped after it was polled, the message may still be published: another thread may be about to
     /// send it.
     #[cfg(feature = "recording")]
     pub async fn replay(&self, topic: Topic, entry: rect_recording::Entry) -> Result<(), Error> {
+        use rect_recording::RetainedKind;
+        let sent_ms = u64::try_from(entry.sent.as_millis()).unwrap_or(0);
+        if let Some(kind) = entry.retained {
+            let value = match kind {
+                RetainedKind::Forgotten => None,
+                RetainedKind::Value | RetainedKind::Repeated => Some(entry.payload.sendable()?),
+            };
+            let robot = self.with_urgency(entry.urgency);
+            return robot.replay_retained(topic, value, sent_ms).await;
+        }
         let recipient = entry.recipient.as_deref().map(Name::new).transpose()?;
         let key = PublicationKey {
             topic,
@@ -464,7 +476,6 @@ impl Robot {
             expires: false,
         };
         let publication = self.publication(key).await?;
-        let sent_ms = u64::try_from(entry.sent.as_millis()).unwrap_or(0);
         let payload = entry.payload.sendable()?;
         let put = publication.put(payload, Some(sent_ms), None, &self.inner.runtime)?;
         put.done().await

@@ -20,8 +20,8 @@ use rect_core::{
     state::{
         keeper::{Disk, IsServed, Item, StateKeeper},
         latest::Latest,
-        page::{Order, Value},
-        program::{Following, ProgramState},
+        page::Order,
+        program::{Arrival, Following, ProgramState},
         retain::{Outcome, Retain},
     },
 };
@@ -145,21 +145,23 @@ impl Drop for Receiving {
 
 struct ToReceivers(Arc<Receivers>);
 
-impl Sink<Value> for ToReceivers {
-    fn deliver(&self, value: Value) {
+impl Sink<Arrival> for ToReceivers {
+    fn deliver(&self, arrival: Arrival) {
         // A queue without room blocks, and the program may end a subscription meanwhile.
         let receivers = lock(&self.0).clone();
         for (_, receiver) in receivers {
-            let message = lock(&receiver.inbound).on_retained(&value);
-            let (Some(mut message), Some(queue)) = (message, receiver.queue.upgrade()) else {
+            let messages = lock(&receiver.inbound).on_retained(&arrival);
+            let Some(queue) = receiver.queue.upgrade() else {
                 continue;
             };
-            let links = receiver.links.as_ref();
-            message.method = links.and_then(|links| links.method(&message.sender));
-            receiver
-                .counting
-                .on_received(message.payload.bytes.len(), 0);
-            queue.push(message);
+            for mut message in messages {
+                let links = receiver.links.as_ref();
+                message.method = links.and_then(|links| links.method(&message.sender));
+                receiver
+                    .counting
+                    .on_received(message.payload.bytes.len(), 0);
+                queue.push(message);
+            }
         }
     }
 }
@@ -251,10 +253,37 @@ impl Robot {
         topic: Topic,
         payload: Payload,
     ) -> Result<(), Error> {
+        self.retain_at(retention, topic, payload, now_ms()).await
+    }
+
+    /// Retains the value of a recording again, or forgets its topic. `sent_ms`: when it was published, in milliseconds since 1970.
+    #[cfg(feature = "recording")]
+    pub(super) async fn replay_retained(
+        &self,
+        topic: Topic,
+        value: Option<Payload>,
+        sent_ms: u64,
+    ) -> Result<(), Error> {
+        match value {
+            Some(payload) => {
+                self.retain_at(Retention::InMemory, topic, payload, sent_ms)
+                    .await
+            }
+            None => self.forget(topic).await,
+        }
+    }
+
+    async fn retain_at(
+        &self,
+        retention: Retention,
+        topic: Topic,
+        payload: Payload,
+        sent_ms: u64,
+    ) -> Result<(), Error> {
         let running = self.inner.state.running()?;
         let size = payload.bytes.len();
         let (urgency, disk) = (self.urgency(), retention == Retention::OnDisk);
-        let order = (running.driver()).set(&topic, payload, urgency, disk, now_ms());
+        let order = (running.driver()).set(&topic, payload, urgency, disk, sent_ms);
         let given = self.give(topic, order).await;
         if given.is_ok() {
             self.inner.counting.on_sent(size);

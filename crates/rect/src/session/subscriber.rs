@@ -23,7 +23,11 @@ use rect_core::{
     session::name_check::Used,
 };
 use tokio::task::JoinHandle;
-use zenoh::{bytes::ZBytes, sample::Sample, Wait};
+use zenoh::{
+    bytes::ZBytes,
+    sample::{Sample, SampleKind},
+    Wait,
+};
 
 use super::{
     convert::payload,
@@ -398,6 +402,7 @@ fn on_sample(
         payload: payload(sample.payload(), sample.encoding()),
         attachment: attachment.as_deref(),
         priority: sample.priority() as u8,
+        is_deleted: sample.kind() == SampleKind::Delete,
         subscription,
     };
     lock(inbound).on_delivery(delivery, Instant::now)
