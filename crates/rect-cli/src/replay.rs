@@ -8,8 +8,15 @@ use std::{
 
 use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
-use rect::{Name, Options, Publisher, Robot};
-use rect_core::text::{display::line, humanize};
+use rect::{KeptState, Name, Options, Publisher, Robot};
+use rect_core::{
+    name::key::KeySpace,
+    state::keeper::Disk,
+    text::{
+        display::{line, paragraph},
+        humanize,
+    },
+};
 use rect_recording::{
     address,
     pace::{self, Pace, RATES},
@@ -23,7 +30,13 @@ use tokio::{
 };
 use zenoh::Session;
 
-use crate::{endpoint, keyboard::Keyboard, recording::PartArguments, session::name, Done, Failure};
+use crate::{
+    endpoint,
+    keyboard::Keyboard,
+    recording::PartArguments,
+    session::{name, PLACEHOLDER},
+    Done, Failure,
+};
 
 /// Where the recorded robots are reached, unless the user says otherwise.
 const LISTEN: &str = "tcp/127.0.0.1:7450";
@@ -281,6 +294,8 @@ fn dry_run(arguments: &ReplayArguments) -> Done {
 struct Robots {
     robots: HashMap<Name, Robot>,
     router: Option<Session>,
+    /// The retained values of the robots, which the own router keeps.
+    kept: Vec<KeptState>,
 }
 
 impl Robots {
@@ -300,7 +315,7 @@ impl Robots {
             )
             .into());
         }
-        let mut robots = HashMap::new();
+        let (mut robots, mut kept) = (HashMap::new(), Vec::new());
         for name in &names {
             let options = Options::new(name.as_str())?.fleet(arguments.fleet.as_str())?;
             let options = options.router(at);
@@ -311,6 +326,12 @@ impl Robots {
             let robot = options.connect().await?;
             robots.insert(robot.name().clone(), robot);
         }
+        if let Some(router) = &router {
+            // Also for commands such as `rect sub`, which belong to none of the robots.
+            for name in names.iter().map(String::as_str).chain([PLACEHOLDER]) {
+                kept.push(keep(router, &arguments.fleet, name)?);
+            }
+        }
         let names: Vec<_> = names.into_iter().collect();
         rect_terminal::errln!(
             "rect: replaying {} at {at}; press Ctrl-C to stop",
@@ -319,7 +340,11 @@ impl Robots {
         if router.is_some() {
             rect_terminal::errln!("rect: `rect sub --router {at} '*/**'` shows the messages");
         }
-        Ok(Self { robots, router })
+        Ok(Self {
+            robots,
+            router,
+            kept,
+        })
     }
 
     /// Waits until a program subscribes to a topic.
@@ -345,21 +370,46 @@ impl Robots {
     }
 
     async fn publish(&self, due: Due) -> Result<(), Failure> {
-        if let Some(robot) = self.robots.get(&due.robot) {
-            robot.replay(due.topic, due.entry).await?;
+        let Some(robot) = self.robots.get(&due.robot) else {
+            return Ok(());
+        };
+        match robot.replay(due.topic, due.entry).await {
+            // The other messages do not depend on it.
+            Err(error @ rect::Error::NotRetained { .. }) => {
+                rect_terminal::errln!("rect: {}", paragraph(&error.to_string()));
+                Ok(())
+            }
+            replayed => Ok(replayed?),
         }
-        Ok(())
     }
 
     async fn close(self) -> Result<(), Failure> {
         for robot in self.robots.values() {
             robot.close().await?;
         }
+        drop(self.kept);
         if let Some(router) = self.router {
             router.close().await?;
         }
         Ok(())
     }
+}
+
+/// Begins to keep the retained values of a robot at a router.
+fn keep(router: &Session, fleet: &str, robot: &str) -> Result<KeptState, Failure> {
+    let place = KeySpace {
+        fleet: Name::new(fleet)?,
+        robot: Name::new(robot)?,
+    };
+    let disk = Disk::None("the router of a replay keeps no values on disk".to_owned());
+    let save = Box::new(|_: &[u8]| Ok(()));
+    Ok(KeptState::start(
+        router,
+        place,
+        disk,
+        save,
+        Box::new(|_| false),
+    )?)
 }
 
 /// Returns the names of the robots of a recording.

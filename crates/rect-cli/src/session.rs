@@ -11,7 +11,7 @@ use crate::{endpoint, Failure};
 
 /// The name under which a command connects while the name of the router's robot is not known. Nothing is published
 /// under it.
-const PLACEHOLDER: &str = "rect-tool";
+pub const PLACEHOLDER: &str = "rect-tool";
 
 /// The router to connect to, and the name under which to connect.
 #[derive(Args, Clone, Debug)]

@@ -93,6 +93,7 @@ mod tests {
             publisher: None,
             logged: Duration::ZERO,
             sent: Duration::ZERO,
+            retained: None,
             foreign: None,
         }
     }

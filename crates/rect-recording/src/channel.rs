@@ -1,5 +1,5 @@
-//! Translates between entries and the channels of MCAP: a channel has a topic, an encoding, an urgency, a recipient, a publisher and a
-//! form.
+//! Translates between entries and the channels of MCAP: a channel has a topic, an encoding, an urgency, a recipient, a publisher, a
+//! form, and the kind of its entries if the topic is retained.
 use std::{collections::BTreeMap, sync::Arc};
 
 use rect_core::message::{encoding::Encoding, urgency::Urgency};
@@ -7,6 +7,7 @@ use rect_core::message::{encoding::Encoding, urgency::Urgency};
 use crate::{
     entry::Entry,
     picture::{self, Kind},
+    retained::RetainedKind,
     schema::{Foreign, Schema},
     view::JSON,
 };
@@ -19,6 +20,7 @@ const URGENCY: &str = "urgency";
 const RECIPIENT: &str = "recipient";
 const PUBLISHER: &str = "publisher";
 const FORM: &str = "form";
+const RETAINED: &str = "retained";
 /// The value of [`FORM`] for [`Form::View`].
 const VIEW: &str = "view";
 
@@ -35,6 +37,8 @@ pub struct Channel {
     pub recipient: Option<String>,
     /// The number that identifies the publisher, if it uses RECT.
     pub publisher: Option<u16>,
+    /// The kind of the entries, if the topic is retained.
+    pub retained: Option<RetainedKind>,
     /// The form of the messages.
     pub form: Form,
 }
@@ -61,6 +65,7 @@ impl Channel {
             urgency: entry.urgency,
             recipient: entry.recipient.clone(),
             publisher: entry.publisher,
+            retained: entry.retained,
             form,
         }
     }
@@ -86,6 +91,9 @@ impl Channel {
         if let Some(publisher) = self.publisher {
             metadata.insert(PUBLISHER.to_owned(), publisher.to_string());
         }
+        if let Some(kind) = self.retained {
+            metadata.insert(RETAINED.to_owned(), kind.name().to_owned());
+        }
         if self.form == Form::View {
             metadata.insert(FORM.to_owned(), VIEW.to_owned());
         }
@@ -109,6 +117,7 @@ impl Channel {
                 urgency: Urgency::Normal,
                 recipient: None,
                 publisher: None,
+                retained: None,
                 form: Form::Payload,
             };
             let foreign = Foreign {
@@ -130,6 +139,7 @@ impl Channel {
             publisher: metadata
                 .get(PUBLISHER)
                 .and_then(|number| number.parse().ok()),
+            retained: metadata.get(RETAINED).map(|name| RetainedKind::named(name)),
             encoding,
             form,
         };

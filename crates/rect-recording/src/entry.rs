@@ -7,7 +7,7 @@ use rect_core::{
     name::{key::OWN, topic::Topic, Name},
 };
 
-use crate::schema::Foreign;
+use crate::{retained::RetainedKind, schema::Foreign};
 
 /// A recorded message.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,6 +29,8 @@ pub struct Entry {
     pub logged: Duration,
     /// When it was sent, since 1970 by the sender's clock; [`logged`](Self::logged) if that is not known.
     pub sent: Duration,
+    /// The kind of the entry of a retained topic. `None`: the message is not of a retained topic.
+    pub retained: Option<RetainedKind>,
     /// The description of the channel that another program has recorded. `None`: a recorder of RECT has recorded the message.
     pub foreign: Option<Arc<Foreign>>,
 }
@@ -38,6 +40,12 @@ impl Entry {
     pub fn of(message: Message, logged: Duration) -> Self {
         Self {
             topic: format!("{}/{}", message.sender, message.topic.as_str()),
+            retained: message
+                .retained
+                .map(|retained| match retained.is_forgotten {
+                    true => RetainedKind::Forgotten,
+                    false => RetainedKind::Value,
+                }),
             recipient: message.recipient.map(|robot| robot.as_str().to_owned()),
             payload: message.payload,
             urgency: message.urgency,
@@ -60,6 +68,7 @@ impl Entry {
             publisher: None,
             logged,
             sent: logged,
+            retained: None,
             foreign: None,
         }
     }

@@ -11,6 +11,7 @@ use crate::{
     entry::Entry,
     file::{About, Encoder},
     reader::{end_of, files_of, ReadError, Reader},
+    retained::RetainedKind,
 };
 
 /// The name of the description that tells the end of the requested time, in nanoseconds since 1970.
@@ -106,7 +107,9 @@ impl Excerpt {
             if entry.logged > question.until {
                 break;
             }
-            if !question.selects(&entry) {
+            // The files between two excerpts repeat values, which belong to none of them.
+            let is_repeated = entry.retained == Some(RetainedKind::Repeated);
+            if is_repeated || !question.selects(&entry) {
                 continue;
             }
             let is_full = bytes > max_bytes || excerpt.entries.len() >= max_count;
@@ -166,6 +169,7 @@ mod tests {
             publisher: None,
             logged: Duration::from_millis(ms),
             sent: Duration::from_millis(ms),
+            retained: None,
             foreign: None,
         }
     }

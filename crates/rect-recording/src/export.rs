@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use rect_core::codec::Limits;
 use serde_json::{json, Value};
 
-use crate::entry::Entry;
+use crate::{entry::Entry, retained::RetainedKind};
 
 /// The form of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -102,6 +102,7 @@ fn as_json(entry: &Entry) -> Value {
         "sent_s": entry.sent.as_secs_f64(),
         "topic": entry.topic,
         "recipient": entry.recipient,
+        "retained": entry.retained.map(RetainedKind::name),
         "sequence": entry.sequence,
         "urgency": entry.urgency,
         "encoding": entry.payload.encoding.as_str(),
@@ -157,6 +158,7 @@ mod tests {
             publisher: Some(1),
             logged: Duration::from_millis(1500),
             sent: Duration::from_millis(1400),
+            retained: None,
             foreign: None,
         };
         exporter.add(&entry).expect("written");

@@ -130,6 +130,7 @@ mod tests {
                 publisher: None,
                 logged: Duration::ZERO,
                 sent: Duration::ZERO,
+                retained: None,
                 foreign: None,
             };
             pictures.add(&entry).expect("written");

@@ -22,6 +22,7 @@ use self::{by_time::ByTime, input::Input, layout::MAX_RECORD};
 use crate::{
     entry::Entry,
     file::{About, ABOUT, COMPLETE, PART},
+    retained::Repeats,
 };
 
 pub use self::{by_time::Missing, extras::Extras, input::Source};
@@ -70,7 +71,7 @@ impl ReadError {
 }
 
 /// Reads the messages of a recording in the order in which they were recorded: that of their times, also if a file has another one.
-/// The files of a folder follow each other.
+/// The files of a folder follow each other. A retained value that a file repeats from a file before it is read once.
 pub struct Reader {
     /// The files that are still to be read.
     files: VecDeque<PathBuf>,
@@ -80,6 +81,7 @@ pub struct Reader {
     /// Whether damaged parts are skipped.
     is_tolerant: bool,
     missing: Vec<Missing>,
+    repeats: Repeats,
 }
 
 struct OpenFile {
@@ -117,6 +119,7 @@ impl Reader {
             is_complete: true,
             is_tolerant: false,
             missing: Vec::new(),
+            repeats: Repeats::default(),
         }
     }
 
@@ -178,6 +181,9 @@ impl Reader {
             match open.messages.next() {
                 Ok(Some(entry)) => {
                     open.entries += 1;
+                    if self.repeats.is_known(&entry) {
+                        continue;
+                    }
                     return Ok(Some(entry));
                 }
                 Ok(None) => self.end(),

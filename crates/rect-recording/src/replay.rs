@@ -9,6 +9,7 @@ use rect_core::name::{
 use crate::{
     entry::{address, Entry},
     remap::{remapped, Remap},
+    retained::{Repeats, RetainedKind},
 };
 
 /// The part of a recording that is replayed, exported or copied.
@@ -57,6 +58,7 @@ pub fn by_time<E, I: Iterator<Item = Result<Entry, E>>>(
 ) -> impl Iterator<Item = Result<Entry, E>> {
     let mut recordings: Vec<_> = recordings.into_iter().map(Iterator::peekable).collect();
     let count = recordings.len();
+    let mut repeats = Repeats::default();
     std::iter::from_fn(move || {
         // An error is reported at once, and a recording that has ended is last.
         let mut time = |n: &usize| match recordings.get_mut(*n)?.peek()? {
@@ -66,6 +68,7 @@ pub fn by_time<E, I: Iterator<Item = Result<Entry, E>>>(
         let earliest = (0..count).min_by_key(|n| time(n).unwrap_or(Duration::MAX))?;
         recordings.get_mut(earliest)?.next()
     })
+    .filter(move |entry| !matches!(entry, Ok(entry) if repeats.is_known(entry)))
 }
 
 /// A message to publish.
@@ -133,7 +136,10 @@ impl<E, I: Iterator<Item = Result<Entry, E>>> Replay<I> {
                 continue;
             }
             let after = entry.logged.saturating_sub(started);
-            if after < self.selection.begin {
+            let is_forgotten = entry.retained == Some(RetainedKind::Forgotten);
+            if after < self.selection.begin && is_forgotten {
+                self.earlier.remove(&entry.topic);
+            } else if after < self.selection.begin {
                 self.earlier.insert(entry.topic.clone(), entry);
             } else if self.selection.end.is_some_and(|end| after > end) {
                 return Ok(None);
@@ -193,6 +199,7 @@ mod tests {
             publisher: None,
             logged: Duration::from_millis(1_000_000 + ms),
             sent: Duration::ZERO,
+            retained: None,
             foreign: None,
         })
     }

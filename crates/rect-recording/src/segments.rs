@@ -1,4 +1,5 @@
-//! Writes a recording as a folder of short files, so that a power cut costs at most the one that is being written.
+//! Writes a recording as a folder of short files, so that a power cut costs at most the one that is being written. Each file begins with
+//! the values that were retained before it.
 use std::{
     collections::VecDeque,
     fs, io,
@@ -9,6 +10,7 @@ use std::{
 use crate::{
     entry::Entry,
     file::{About, OpenFile, COMPLETE},
+    retained::LastValues,
 };
 
 /// The time after which a file is completed and the next one begins.
@@ -41,6 +43,8 @@ pub struct Segments {
     returned: Vec<Entry>,
     /// How much of the past to keep. `None`: everything.
     keep: Option<Duration>,
+    /// The retained values at the end of the last complete file.
+    retained: LastValues,
 }
 
 /// The file that is being written.
@@ -76,6 +80,7 @@ impl Segments {
             segment_bytes: SEGMENT_BYTES,
             returned: Vec::new(),
             keep,
+            retained: LastValues::default(),
         })
     }
 
@@ -85,6 +90,7 @@ impl Segments {
     /// Fails if the disk does. The entry is returned by [`abandon`](Self::abandon) with the others of its file.
     pub fn write(&mut self, entry: Entry) -> io::Result<()> {
         let now = entry.logged;
+        let is_first = self.open.is_none();
         let open = match &mut self.open {
             Some(open) => open,
             None => {
@@ -110,6 +116,12 @@ impl Segments {
         };
         open.bytes += entry.bytes();
         open.entries.push(entry);
+        // On a disk that is nearly full, they would take the room of the messages.
+        if is_first && self.retained.bytes() <= self.segment_bytes {
+            for repeated in self.retained.repeated(now) {
+                open.file.add(&repeated)?;
+            }
+        }
         let Some(entry) = open.entries.last() else {
             return Ok(());
         };
@@ -163,6 +175,9 @@ impl Segments {
             match file.finish() {
                 Ok(path) => {
                     self.segment_bytes = (self.segment_bytes * 2).min(SEGMENT_BYTES);
+                    for entry in entries {
+                        self.retained.on_entry(entry);
+                    }
                     self.complete.push_back(Complete {
                         bytes: fs::metadata(&path)?.len(),
                         path,

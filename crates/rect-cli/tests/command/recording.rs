@@ -19,7 +19,7 @@ use rect_core::{
 };
 use rect_recording::{
     file::{self, OpenFile},
-    Entry, ReadError, Reader,
+    Entry, ReadError, Reader, RetainedKind,
 };
 
 use crate::pair::{free_endpoint, pair, stock_client, TIMEOUT};
@@ -40,6 +40,7 @@ fn entry(sequence: u32) -> Entry {
         publisher: (kind == 0).then_some(7),
         logged,
         sent: logged - Duration::from_millis(3),
+        retained: None,
         foreign: None,
     }
 }
@@ -247,6 +248,68 @@ fn recorded_messages_are_replayed() {
         found.len()
     };
     assert_eq!([of("a/n"), of("a/camera"), of("a/end")], [100, 10, 1]);
+}
+
+#[test]
+fn retained_values_are_recorded_and_retained_again() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let endpoint = free_endpoint();
+    let options = Options::new("a").expect("a name").login_file("/none");
+    let _robot = blocking::Robot::connect(options.listen(&endpoint)).expect("connected");
+    let at_robot = ["--as", "a", "--router", &endpoint];
+    let run = |arguments: &[&str]| {
+        let done = ran(folder.path(), &[arguments, &at_robot].concat());
+        assert!(done.status.success(), "{}", text(&done.stderr));
+    };
+    // Before the recording begins.
+    run(&["pub", "mode", "auto", "--retained"]);
+    run(&["pub", "map", "old", "--retained"]);
+    let recording = ["record", "a/**", "-o", "match.mcap"];
+    let mut recording = rect(folder.path(), &[&recording[..], &at_robot].concat());
+    let recording = recording.stdout(Stdio::null()).stderr(Stdio::null());
+    let mut recording = Killed(recording.spawn().expect("started"));
+    let entries = || read(&folder.path().join("match.segments")).0;
+    wait_until("the values are recorded", || entries().len() == 2);
+    run(&["topic", "forget", "map"]);
+    wait_until("that is recorded", || entries().len() == 3);
+    std::thread::sleep(Duration::from_millis(300));
+    run(&["pub", "end", "end"]);
+    wait_until("the end is recorded", || entries().len() == 4);
+    recording.signal("-INT");
+    assert!(recording.end().success());
+    let (entries, _) = read(&folder.path().join("match.mcap"));
+    let kinds = |topic: &str| {
+        let of_topic = entries.iter().filter(|entry| entry.topic == topic);
+        of_topic.map(|entry| entry.retained).collect::<Vec<_>>()
+    };
+    assert_eq!(kinds("a/mode"), [Some(RetainedKind::Value)]);
+    assert_eq!(
+        kinds("a/map"),
+        [Some(RetainedKind::Value), Some(RetainedKind::Forgotten)]
+    );
+    assert_eq!(kinds("a/end"), [None]);
+
+    let listen = free_endpoint();
+    let replay = ["replay", "match.mcap", "--loop", "--listen", &listen];
+    let mut replaying = rect(folder.path(), &replay);
+    let _replaying = Killed(replaying.stderr(Stdio::null()).spawn().expect("started"));
+    let got = |topic: &str| {
+        let arguments = ["topic", "get", topic, "--router", &listen];
+        let done = ran(folder.path(), &arguments);
+        done.status.success().then(|| text(&done.stdout))
+    };
+    wait_until("it is retained", || {
+        got("a/mode").is_some_and(|got| got.ends_with("): auto\n"))
+    });
+    wait_until("it is forgotten", || got("a/map").is_none());
+    // Also a program that starts later receives it.
+    let arguments = [
+        "sub", "a/mode", "--count", "1", "--json", "--router", &listen,
+    ];
+    let received = ran(folder.path(), &arguments);
+    let received: serde_json::Value = serde_json::from_slice(&received.stdout).expect("JSON");
+    assert_eq!(received["value"], "auto");
+    assert_eq!(received["retained"]["is_forgotten"], false, "{received}");
 }
 
 #[test]

@@ -90,6 +90,7 @@ impl Contents {
             publisher: channel.publisher,
             logged: Duration::from_nanos(header.log_time),
             sent: Duration::from_nanos(header.publish_time),
+            retained: channel.retained,
             foreign: foreign.clone(),
         })
     }

@@ -20,7 +20,7 @@ use rect_core::{
 use rect_recording::{
     file::OpenFile,
     segments::{self, Segments},
-    Entry, ReadError, Reader, Recorder, Settings, Split,
+    Entry, ReadError, Reader, Recorder, RetainedKind, Settings, Split,
 };
 
 /// Timeout of one step of a test, long enough for a busy computer.
@@ -41,6 +41,7 @@ fn entry(sequence: u32) -> Entry {
         publisher: (kind == 0).then_some(7),
         logged,
         sent: logged - Duration::from_millis(3),
+        retained: None,
         foreign: None,
     }
 }
@@ -293,6 +294,99 @@ fn part_continues_if_the_next_one_cannot_be_begun() {
     assert_eq!(read(&renamed).0, [entry(0)]);
     assert_eq!(read(&path).0, [entry(1)]);
     assert!(!next.exists());
+}
+
+fn retained(sequence: u32, topic: &str, kind: RetainedKind) -> Entry {
+    Entry {
+        topic: topic.to_owned(),
+        recipient: None,
+        retained: Some(kind),
+        ..entry(sequence)
+    }
+}
+
+#[test]
+fn each_file_begins_with_the_values_that_were_retained_before() {
+    use RetainedKind::{Forgotten, Repeated, Value};
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("match.segments");
+    let mut written = Segments::create(path.clone(), about(), None).expect("created");
+    let files = [
+        vec![
+            retained(0, "a/mode", Value),
+            retained(3, "a/map", Value),
+            entry(4),
+        ],
+        vec![retained(6, "a/mode", Value), entry(7)],
+        vec![retained(9, "a/map", Forgotten)],
+        vec![entry(10)],
+    ];
+    for file in &files {
+        for entry in file {
+            written.write(entry.clone()).expect("written");
+        }
+        let last = file.last().expect("an entry");
+        written.finish(last.logged).expect("on the disk");
+    }
+    // The folder as a whole has each value once.
+    assert_eq!(read(&path).0, files.concat());
+
+    let repeated = |of: &Entry, first: &Entry| Entry {
+        retained: Some(Repeated),
+        logged: first.logged,
+        ..of.clone()
+    };
+    let begins_with = |number: usize, values: &[&Entry]| {
+        let (entries, _) = read(&path.join(format!("{number:06}.mcap")));
+        let own = &files[number - 1];
+        let values = values.iter().map(|value| repeated(value, &own[0]));
+        let expected: Vec<_> = values.chain(own.iter().cloned()).collect();
+        assert_eq!(entries, expected, "{number}");
+    };
+    let (map, mode) = (&files[0][1], &files[1][0]);
+    begins_with(1, &[]);
+    begins_with(2, &[map, &files[0][0]]);
+    begins_with(3, &[map, mode]);
+    begins_with(4, &[mode]);
+
+    // Without the first file, the second one has what was retained.
+    fs::remove_file(path.join("000001.mcap")).expect("removed");
+    let topics: Vec<_> = (read(&path).0.into_iter())
+        .map(|entry| (entry.topic, entry.retained))
+        .take(3)
+        .collect();
+    let expected = [("a/map", Repeated), ("a/mode", Repeated), ("a/mode", Value)];
+    assert_eq!(
+        topics,
+        expected.map(|(topic, kind)| (topic.to_owned(), Some(kind)))
+    );
+}
+
+#[test]
+fn values_of_a_file_that_failed_are_repeated_as_they_were_before_it() {
+    use RetainedKind::{Repeated, Value};
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("match.segments");
+    let mut written = Segments::create(path.clone(), about(), None).expect("created");
+    let (old, new) = (retained(0, "a/mode", Value), retained(3, "a/mode", Value));
+    written.write(old.clone()).expect("written");
+    written.finish(old.logged).expect("on the disk");
+    written.write(new.clone()).expect("written");
+    let returned = written.abandon();
+    assert_eq!(
+        returned,
+        std::slice::from_ref(&new),
+        "without the repeated value"
+    );
+    for entry in returned {
+        written.write(entry).expect("written");
+    }
+    written.finish(new.logged).expect("on the disk");
+    let (entries, _) = read(&path.join("000003.mcap"));
+    let kinds: Vec<_> = entries.iter().map(|entry| entry.retained).collect();
+    assert_eq!(kinds, [Some(Repeated), Some(Value)]);
+    assert_eq!(entries[0].sequence, old.sequence);
+    assert_eq!(read(&path).0, [old, new]);
 }
 
 #[test]

@@ -30,6 +30,7 @@ fn entry(topic: &str, payload: Payload, sequence: u32) -> Entry {
         publisher: None,
         logged,
         sent: logged,
+        retained: None,
         foreign: None,
     }
 }
