@@ -5,10 +5,28 @@
 #include <rect/nlohmann.hpp>
 #include <string>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "pair.hpp"
 #include "routers.hpp"
+
+namespace {
+
+// Returns the last value of a topic of wombat-1, which other robots can ask for a moment after its first retained message.
+template <class T>
+rect::MessageOf<T> latest_when_available(const rect::Robot& robot, const char* topic) {
+    auto message = must(robot.latest<T>("wombat-1", topic, deadline));
+    until([&] {
+        if (!message) {
+            message = must(robot.latest<T>("wombat-1", topic, deadline));
+        }
+        return message.has_value();
+    });
+    return std::move(*message);
+}
+
+}  // namespace
 
 TEST_CASE("a late subscription receives the last value, and each change once") {
     Pair pair;
@@ -55,7 +73,8 @@ TEST_CASE("a forgotten topic is received as a message without a value") {
     CHECK(without_value.value().error().code == rect::Code::payload);
     CHECK(without_value.problem() == "the topic was forgotten: there is no value any more");
     CHECK(must(pair.two.counters()).problems == 0);
-    CHECK_FALSE(must(pair.two.latest("wombat-1", "battery", deadline)).has_value());
+    // The copy of this robot's keeper may change a moment after the subscriber has received the message.
+    until([&] { return !must(pair.two.latest("wombat-1", "battery", deadline)).has_value(); });
     must(pair.one.forget("battery"));
 }
 
@@ -66,10 +85,9 @@ TEST_CASE("the last value is known without a subscription") {
     must(batteries.publish(80));
     must(batteries.publish(79));
     for (const auto* robot : {&pair.one, &pair.two}) {
-        const auto message = must(robot->latest<double>("wombat-1", "battery", deadline));
-        REQUIRE(message.has_value());
-        CHECK(must(message->value()) == 79);
-        CHECK(message->retained().has_value());
+        const auto message = latest_when_available<double>(*robot, "battery");
+        CHECK(must(message.value()) == 79);
+        CHECK(message.retained().has_value());
     }
     CHECK(must(must(pair.two.latest("wombat-1", "battery", deadline))->payload.text()) == "79.0");
     const auto mismatch = must(pair.two.latest<bool>("wombat-1", "battery", deadline));
@@ -100,9 +118,7 @@ TEST_CASE("a value over 64 kB is published and not retained") {
 TEST_CASE("a program without a router keeps a value for the disk in memory") {
     Pair pair;
     must(must(pair.one.retained_on_disk()).publish("calibration", 1.5));
-    const auto calibration = must(pair.two.latest<double>("wombat-1", "calibration", deadline));
-    REQUIRE(calibration.has_value());
-    CHECK(must(calibration->value()) == 1.5);
+    CHECK(must(latest_when_available<double>(pair.two, "calibration").value()) == 1.5);
 }
 
 TEST_CASE("a value is received over Bluetooth after its program has ended", "[.routers]") {
@@ -115,6 +131,7 @@ TEST_CASE("a value is received over Bluetooth after its program has ended", "[.r
     auto message = must(subscriber.next(deadline));
     CHECK(must(message.payload.text()) == "base");
     until([&] {
+        std::this_thread::sleep_for(retry_interval);
         const auto latest = must(routers.two.latest("wombat-1", "cell", deadline));
         return latest && latest->retained()->has_ended;
     });
