@@ -20,7 +20,7 @@ const FORGOTTEN_AFTER: Duration = Duration::from_secs(20);
 /// The maximum number of robots.
 const MAX_ROBOTS: usize = 256;
 /// The maximum number of pages of one answer.
-const MAX_PAGES: u32 = 1024;
+const MAX_PAGES: u32 = 64;
 
 /// What is known of another robot.
 #[derive(Debug)]

@@ -9,10 +9,10 @@ use zenoh_keyexpr::keyexpr;
 
 use super::{
     keeper::{Disk, Item, StateKeeper},
-    page::Order,
+    page::{Order, Page, Question, Value},
     program::{Arrival, ProgramState},
     retain::{Outcome, Retain},
-    Origin,
+    Origin, Position,
 };
 use crate::{
     catalogue::{token::Token, Instance},
@@ -917,4 +917,230 @@ fn nothing_is_sent_while_nothing_changes() {
     assert!(bytes > 0);
     world.run_for(Duration::from_secs(600));
     assert_eq!(world.bytes, 0);
+}
+
+/// The keeper of `b`, whose only program subscribes to everything, and knows that `a` keeps values. Returns it with the id of its question.
+fn copying() -> (StateKeeper, Id, Instant) {
+    let now = Instant::now();
+    let disk = Disk::Saved(None);
+    let mut keeper = StateKeeper::new(place(1), 1, disk, Box::new(|_| false), now);
+    let poll = Order::Poll {
+        program: 2,
+        since: None,
+        keys: vec!["rect/*/**".to_owned()],
+    };
+    let _ = keeper.on_event(
+        now,
+        Event::Query {
+            id: Id(0),
+            query: QueryId(1),
+            key: String::new(),
+            payload: super::page::write(&poll),
+            attachment: None,
+        },
+    );
+    let actions = actions(&mut keeper, now);
+    let tokens = actions.iter().find_map(|action| match action {
+        Action::Declare {
+            id,
+            declaration: Declaration::LivelinessSubscriber { key },
+        } if key == "rect/*/@rect/s/*" => Some(*id),
+        _ => None,
+    });
+    let sample = Sample {
+        key: "rect/a/@rect/s/0000002a".to_owned(),
+        payload: Payload::new("", Encoding::BYTES),
+        attachment: None,
+        is_deleted: false,
+    };
+    let id = tokens.expect("it observes others");
+    let _ = keeper.on_event(now, Event::Sample { id, sample });
+    let (asked, to) = questions(&mut keeper, now).remove(0);
+    assert_eq!(to, "rect/a/@rect/state");
+    (keeper, asked, now)
+}
+
+fn actions(keeper: &mut StateKeeper, now: Instant) -> Vec<Action> {
+    let mut actions = Vec::new();
+    loop {
+        match keeper.poll(now) {
+            Step::Act(action) => actions.push(action),
+            Step::Deliver(_) => {}
+            _ => return actions,
+        }
+    }
+}
+
+fn questions(keeper: &mut StateKeeper, now: Instant) -> Vec<(Id, String)> {
+    let actions = actions(keeper, now).into_iter();
+    let questions = actions.filter_map(|action| match action {
+        Action::Get { id, get } => Some((id, get.selector)),
+        _ => None,
+    });
+    questions.collect()
+}
+
+fn answer(keeper: &mut StateKeeper, id: Id, now: Instant, payload: Payload) {
+    let sample = Sample {
+        key: "rect/a/@rect/state".to_owned(),
+        payload,
+        attachment: None,
+        is_deleted: false,
+    };
+    let reply = Ok(sample);
+    let _ = keeper.on_event(now, Event::Reply { id, reply });
+    let _ = keeper.on_event(now, Event::Ended { id });
+}
+
+fn value(number: u64, bytes: usize) -> Value {
+    Value {
+        robot: None,
+        topic: topic(number),
+        number,
+        origin: Origin(7, number),
+        payload: Payload::new(vec![1; bytes], Encoding::BYTES),
+        urgency: Urgency::Normal,
+        sent_ms: 0,
+        age: Duration::ZERO,
+        has_ended: false,
+        is_forgotten: false,
+        kept: None,
+    }
+}
+
+fn page(at: u64, more: bool, records: Vec<Value>) -> Page {
+    Page {
+        run: 42,
+        at,
+        more,
+        complete: vec![(String::new(), Position(42, at))],
+        records,
+    }
+}
+
+/// Returns the topics of `a` of which the keeper has copies.
+fn copies(keeper: &StateKeeper, now: Instant) -> Vec<String> {
+    let page = keeper.page(None, &[keys(&name("a"))], now, false);
+    page.records
+        .iter()
+        .map(|value| value.topic.to_string())
+        .collect()
+}
+
+#[test]
+fn router_that_answers_with_values_of_others_is_not_believed() {
+    let (mut keeper, id, now) = copying();
+    let foreign = Value {
+        robot: Some(name("c")),
+        ..value(1, 4)
+    };
+    answer(
+        &mut keeper,
+        id,
+        now,
+        super::page::write(&page(2, false, vec![foreign, value(2, 4)])),
+    );
+    assert_eq!(copies(&keeper, now), [] as [&str; 0]);
+    // It is asked again after a pause.
+    assert!(questions(&mut keeper, now).is_empty());
+    assert_eq!(
+        questions(&mut keeper, now + Duration::from_secs(1)).len(),
+        1
+    );
+}
+
+#[test]
+fn answers_that_are_no_pages_are_asked_for_again_less_and_less() {
+    let (mut keeper, mut id, mut now) = copying();
+    let mut pauses = Vec::new();
+    for _ in 0..5 {
+        answer(
+            &mut keeper,
+            id,
+            now,
+            Payload::new("no page", Encoding::TEXT),
+        );
+        let before = now;
+        id = loop {
+            now += Duration::from_secs(1);
+            if let Some((next, _)) = questions(&mut keeper, now).pop() {
+                break next;
+            }
+        };
+        pauses.push(now.duration_since(before).as_secs());
+    }
+    assert_eq!(pauses, [1, 2, 4, 8, 16]);
+}
+
+#[test]
+fn endless_answer_ends_and_its_values_are_bounded() {
+    let (mut keeper, mut id, now) = copying();
+    let mut asked = 0;
+    for at in 1..5000 {
+        answer(
+            &mut keeper,
+            id,
+            now,
+            super::page::write(&page(at, true, vec![value(at, 8000)])),
+        );
+        match questions(&mut keeper, now).pop() {
+            Some((next, _)) => (id, asked) = (next, asked + 1),
+            None => break,
+        }
+    }
+    assert!(asked < 200, "{asked}");
+    let copied = copies(&keeper, now).len();
+    assert!(copied * 8000 <= super::MAX_ROBOT, "{copied}");
+    // A page that does not go on is the last one.
+    let (mut keeper, id, now) = copying();
+    answer(
+        &mut keeper,
+        id,
+        now,
+        super::page::write(&page(5, true, vec![value(5, 8)])),
+    );
+    let (id, _) = questions(&mut keeper, now).pop().expect("the next page");
+    answer(
+        &mut keeper,
+        id,
+        now,
+        super::page::write(&page(5, true, vec![value(5, 8)])),
+    );
+    assert!(questions(&mut keeper, now).is_empty());
+}
+
+#[test]
+fn numbers_of_the_future_do_not_hide_later_values() {
+    let (mut keeper, id, now) = copying();
+    answer(
+        &mut keeper,
+        id,
+        now,
+        super::page::write(&page(u64::MAX, false, vec![value(u64::MAX, 4)])),
+    );
+    assert_eq!(copies(&keeper, now).len(), 1);
+    // A check with the true numbers makes it ask, and what another run answers replaces everything.
+    let check = Question::Check {
+        of: "a".to_owned(),
+        at: Position(43, 3),
+        digest: 0,
+        is_complete: true,
+    };
+    let _ = keeper.on_event(
+        now,
+        Event::Query {
+            id: Id(1),
+            query: QueryId(9),
+            key: String::new(),
+            payload: super::page::write(&check),
+            attachment: None,
+        },
+    );
+    let (id, _) = questions(&mut keeper, now).pop().expect("it asks");
+    let other_run = Page {
+        run: 43,
+        ..page(3, false, vec![value(3, 4)])
+    };
+    answer(&mut keeper, id, now, super::page::write(&other_run));
+    assert_eq!(copies(&keeper, now), [topic(3).to_string()]);
 }
