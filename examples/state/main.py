@@ -1,4 +1,4 @@
-"""State: a robot retains its mode. A program that starts later receives the last mode of each robot first, and then each change.
+"""State: a robot retains its mode. A program that starts later receives the last modes of all robots, and each change.
 
 python examples/state/main.py wombat-1 auto      # retains the mode, and ends
 python examples/state/main.py wombat-2           # prints the modes of all robots
