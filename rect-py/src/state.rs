@@ -101,6 +101,8 @@ impl ProgramState {
         links: Option<Py<Links>>,
     ) -> u64 {
         let keys = inbound.get().keys_of_all();
+        // Values that arrive meanwhile wait for the receiver.
+        let mut receivers = self.receivers();
         let number = lock(&self.core).subscribe(&keys, self.clock.now());
         let receiver = Receiver {
             queue,
@@ -108,7 +110,7 @@ impl ProgramState {
             counters,
             links,
         };
-        self.receivers().push((number, Arc::new(receiver)));
+        receivers.push((number, Arc::new(receiver)));
         number
     }
 
@@ -120,7 +122,7 @@ impl ProgramState {
     /// Removes a subscription.
     fn unsubscribe(&self, number: u64) {
         self.receivers().retain(|(known, _)| *known != number);
-        lock(&self.core).unsubscribe(number);
+        lock(&self.core).unsubscribe(number, self.clock.now());
     }
 
     /// Delivers something from the router to all subscriptions that select it.

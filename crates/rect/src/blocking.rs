@@ -143,6 +143,24 @@ impl Robot {
         }
     }
 
+    /// Returns a handle that retains what it publishes; see [`crate::Robot::retained`].
+    #[must_use]
+    pub fn retained(&self) -> Self {
+        Self {
+            robot: self.robot.retained(),
+            runtime: self.runtime.clone(),
+        }
+    }
+
+    /// Returns a handle that retains what it publishes, also on disk; see [`crate::Robot::retained_on_disk`].
+    #[must_use]
+    pub fn retained_on_disk(&self) -> Self {
+        Self {
+            robot: self.robot.retained_on_disk(),
+            runtime: self.runtime.clone(),
+        }
+    }
+
     /// Returns a handle whose messages expire after that time; see [`crate::Robot::expires_after`].
     #[must_use]
     pub fn expires_after(&self, lifetime: Duration) -> Self {
@@ -189,6 +207,26 @@ impl Robot {
         value: impl ToPayload,
     ) -> Result<(), Error> {
         self.runtime.complete(self.robot.publish(topic, value))
+    }
+
+    /// Returns the last value of a retained topic of `robot`, or nothing if it retains none or is not reachable.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::latest`].
+    pub fn latest<T: FromPayload>(
+        &self,
+        robot: impl TryInto<Name, Error: Into<Error>>,
+        topic: impl TryInto<Topic, Error: Into<Error>>,
+    ) -> Result<Option<Message<T::Value>>, Error> {
+        self.runtime.wait(self.robot.latest::<T>(robot, topic))
+    }
+
+    /// Forgets a retained topic of this robot.
+    ///
+    /// # Errors
+    /// Returns the same errors as [`crate::Robot::forget`].
+    pub fn forget(&self, topic: impl TryInto<Topic, Error: Into<Error>>) -> Result<(), Error> {
+        self.runtime.wait(self.robot.forget(topic))
     }
 
     /// Sends `value` on `topic` to one robot only. Does not check whether the robot is reachable.

@@ -62,7 +62,7 @@ class State:
         session = self._session
         number = self._core.subscribe(queue.queue, inbound, session.counters, session.links)
         running.wake()
-        return Receiving(self._core, number)
+        return Receiving(self._core, running, number)
 
     def retain(self, topic: str, payload: Payload, urgency: str, disk: bool) -> None:
         """Publishes a value that the router keeps. Raises `NotRetained`, `InvalidTopicError`, `OptionError` and `Closed`."""
@@ -108,13 +108,15 @@ class State:
 class Receiving:
     """The part of a subscription that retained messages go through."""
 
-    def __init__(self, core: _rect.ProgramState, number: int) -> None:
+    def __init__(self, core: _rect.ProgramState, running: Executor, number: int) -> None:
         self._core = core
+        self._running = running
         self._number = number
 
     def undeclare(self) -> None:
         """Ends it."""
         self._core.unsubscribe(self._number)
+        self._running.wake()
 
 
 _NO_KEEPER = "no router of this robot keeps values. Start rect-router, or a later version of it"

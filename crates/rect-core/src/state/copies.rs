@@ -142,6 +142,12 @@ impl Copies {
             .map(|(robot, _)| robot)
     }
 
+    /// Returns the robots whose routers keep values now.
+    pub(super) fn keeping(&self) -> impl Iterator<Item = &Name> {
+        let keeping = self.0.iter().filter(|(_, copied)| !copied.runs.is_empty());
+        keeping.map(|(robot, _)| robot)
+    }
+
     pub(super) fn all(&self) -> impl Iterator<Item = (&Name, &Copied)> {
         self.0.iter()
     }

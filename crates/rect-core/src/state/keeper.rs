@@ -71,8 +71,10 @@ pub struct StateKeeper {
     copies: Copies,
     followers: Followers,
     is_served: IsServed,
-    /// The topics that programs subscribe to, with the ids of the subscriptions.
-    interests: Vec<(OwnedKeyExpr, Id)>,
+    /// The topics of other robots that programs subscribe to.
+    interests: Vec<OwnedKeyExpr>,
+    /// The subscriptions to them.
+    subscriptions: Vec<(OwnedKeyExpr, Id)>,
     /// The programs of this robot that have a token, and how many.
     programs: BTreeMap<u32, usize>,
     /// Until when the programs may give it values that it has lost.
@@ -128,6 +130,7 @@ impl StateKeeper {
             followers: Followers::default(),
             is_served,
             interests: Vec::new(),
+            subscriptions: Vec::new(),
             programs: BTreeMap::new(),
             grace: Some(now + GRACE),
             complete_at: 0,
@@ -388,6 +391,9 @@ impl StateKeeper {
             }
         }
         let had_value = existing.is_some_and(|existing| existing.payload.is_some());
+        if !self.programs.contains_key(&entry.origin.0) {
+            self.polls.expect(entry.origin.0, now);
+        }
         if entry.payload.is_none() && !had_value {
             return Ok(kept(self.store.last()));
         }
@@ -507,44 +513,57 @@ impl StateKeeper {
     fn on_interests(&mut self) {
         let KeySpace { fleet, robot } = &self.place;
         let own = format!("{fleet}/{robot}/");
-        // The values of this robot need no subscription.
+        // The values of this robot are not copies.
         let is_of_others = |key: &OwnedKeyExpr| !key.as_str().starts_with(&own);
         let interests = self.polls.interests().into_iter().filter(is_of_others);
         let interests: Vec<_> = interests.collect();
-        if interests == self.interests() {
+        if interests == self.interests {
             return;
         }
-        let (kept, removed) = std::mem::take(&mut self.interests)
-            .into_iter()
-            .partition(|(key, _)| interests.contains(key));
-        self.interests = kept;
-        let removed: Vec<(_, Id)> = removed;
-        let undeclare = |(_, id)| Action::Undeclare { id };
-        self.actions.extend(removed.into_iter().map(undeclare));
-        if !interests.is_empty() && !self.is_observing {
+        self.interests = interests;
+        if !self.interests.is_empty() && !self.is_observing {
             self.is_observing = true;
             let key = self.place.own(None, &format!("{TOKEN}/*"));
             self.declare(TOKENS, Declaration::LivelinessSubscriber { key });
             let key = peers::tokens(&self.place, None);
             self.declare(PRESENCE, Declaration::LivelinessSubscriber { key });
         }
-        for key in &interests {
-            if !self.interests.iter().any(|(known, _)| known == key) {
+        self.copies.on_interests(&self.interests);
+        self.drop_copies();
+        self.subscribe();
+    }
+
+    /// Subscribes to the topics that programs subscribe to, of each robot that keeps values. A subscription to those of all robots would
+    /// also match the publishers of this one, which then had a subscriber.
+    fn subscribe(&mut self) {
+        let fleet = &self.place.fleet;
+        let robots = self.copies.keeping();
+        let keys = robots.flat_map(|robot| {
+            let of_robot = self.interests.iter().filter(|key| is_of(fleet, robot, key));
+            of_robot.filter_map(|key| of(fleet, robot, key))
+        });
+        let mut keys: Vec<_> = keys.collect();
+        keys.sort_by(|a, b| a.as_str().cmp(b.as_str()));
+        keys.dedup();
+        let (kept, removed): (Vec<_>, Vec<_>) = std::mem::take(&mut self.subscriptions)
+            .into_iter()
+            .partition(|(key, _)| keys.contains(key));
+        self.subscriptions = kept;
+        let undeclare = |(_, id)| Action::Undeclare { id };
+        self.actions.extend(removed.into_iter().map(undeclare));
+        for key in keys {
+            if !self.subscriptions.iter().any(|(known, _)| *known == key) {
                 let id = self.id();
                 let text = key.to_string();
                 self.declare(id, Declaration::Subscriber { key: text });
-                self.interests.push((key.clone(), id));
+                self.subscriptions.push((key, id));
             }
         }
-        self.interests
-            .sort_by(|(a, _), (b, _)| a.as_str().cmp(b.as_str()));
-        self.copies.on_interests(&interests);
-        self.drop_copies(&interests);
     }
 
     /// Removes the copies that no program subscribes to.
-    fn drop_copies(&mut self, interests: &[OwnedKeyExpr]) {
-        let fleet = &self.place.fleet;
+    fn drop_copies(&mut self) {
+        let (fleet, interests) = (&self.place.fleet, &self.interests);
         let robots: Vec<_> = self.copies.all().map(|(robot, _)| robot.clone()).collect();
         for robot in robots {
             let of_robot = self.store.of(&robot).map(|(key, _)| key);
@@ -553,10 +572,6 @@ impl StateKeeper {
                 self.store.remove(&key);
             }
         }
-    }
-
-    fn interests(&self) -> Vec<OwnedKeyExpr> {
-        self.interests.iter().map(|(key, _)| key.clone()).collect()
     }
 
     /// Handles a question of another router.
@@ -588,7 +603,7 @@ impl StateKeeper {
                 let of = Name::new(&of).ok().filter(|of| *of != own);
                 let is_followed = of
                     .as_ref()
-                    .is_some_and(|of| self.interests.iter().any(|(key, _)| is_of(fleet, of, key)));
+                    .is_some_and(|of| self.interests.iter().any(|key| is_of(fleet, of, key)));
                 if let Some(of) = of.filter(|_| is_followed) {
                     let known = self.copies.get(&of).map_or(0, |copied| {
                         let select = |key: &Key| is_selected(fleet, copied.fetched(), key);
@@ -720,7 +735,7 @@ impl StateKeeper {
         if page.records.iter().any(|value| value.robot.is_some()) {
             return;
         }
-        let interests = self.interests();
+        let interests = self.interests.clone();
         for value in &page.records {
             let key = zenoh_key(&self.place.fleet, &(robot.clone(), value.topic.clone()));
             if selects(&interests, &key) {
@@ -820,6 +835,7 @@ impl StateKeeper {
                             self.open();
                         }
                         self.copies.on_token(&robot, run, is_up, now);
+                        self.subscribe();
                     }
                 }
             }
@@ -862,7 +878,8 @@ impl StateKeeper {
         }
         let store = &self.store;
         for robot in self.copies.emptied(now, |robot| store.has_values_of(robot)) {
-            self.forget_others(&robot, &self.interests(), self.run, now);
+            let interests = self.interests.clone();
+            self.forget_others(&robot, &interests, self.run, now);
         }
         self.answer_polls(now);
         self.ask(now);
@@ -870,7 +887,7 @@ impl StateKeeper {
 
     /// Asks other routers what is due.
     fn ask(&mut self, now: Instant) {
-        let interests = self.interests();
+        let interests = self.interests.clone();
         let KeySpace { fleet, robot: own } = self.place.clone();
         loop {
             let next = &mut self.next;
@@ -952,6 +969,16 @@ impl Published {
             urgency: entry.urgency,
         }
     }
+}
+
+/// Returns the key expression of the topics of one robot that another one selects, of one or all robots.
+fn of(fleet: &Name, robot: &Name, key: &OwnedKeyExpr) -> Option<OwnedKeyExpr> {
+    let rest = key
+        .as_str()
+        .strip_prefix(fleet.as_str())?
+        .strip_prefix('/')?;
+    let (_, topics) = rest.split_once('/')?;
+    OwnedKeyExpr::autocanonize(format!("{fleet}/{robot}/{topics}")).ok()
 }
 
 /// Returns whether a value that is kept is newer than one that a program gives back. Positions of two runs cannot be compared; then the

@@ -57,6 +57,18 @@ impl Polls {
         all.filter(|(_, poll)| poll.query.is_some())
     }
 
+    /// Handles that a program without a token gave a value: it asks a moment later, or has ended.
+    pub(super) fn expect(&mut self, program: u32, now: Instant) {
+        if self.0.len() < MAX_PROGRAMS {
+            self.0.entry(program).or_insert(Poll {
+                query: None,
+                since: None,
+                keys: Vec::new(),
+                until: now + ABSENT,
+            });
+        }
+    }
+
     /// Handles that nothing up to that position concerns a program.
     pub(super) fn on_nothing_new(&mut self, program: u32, at: Position) {
         if let Some(poll) = self.0.get_mut(&program) {

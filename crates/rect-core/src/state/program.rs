@@ -22,7 +22,7 @@ use crate::{
 };
 
 /// How long a question waits at the router for changes. Only the program's own router is asked.
-pub const POLL: Duration = Duration::from_secs(60);
+pub const POLL: Duration = Duration::from_secs(15);
 /// The time after which a question without an answer is asked again.
 const TIMEOUT: Duration = Duration::from_secs(POLL.as_secs() + 10);
 /// The pauses before a question that nobody has answered is asked again; the last one repeats.
@@ -164,13 +164,16 @@ impl ProgramState {
             .insert(self.next_subscription, keys.collect());
         // It gets the values that others have already.
         self.position = None;
+        // The answer to a question without these keys would be incomplete.
+        self.asking = None;
         self.ask_at = Some(now + TOGETHER);
         self.next_subscription
     }
 
-    /// Removes a subscription.
-    pub fn unsubscribe(&mut self, subscription: u64) {
+    /// Removes a subscription. The router learns it, and ends its own.
+    pub fn unsubscribe(&mut self, subscription: u64, now: Instant) {
         self.subscriptions.remove(&subscription);
+        self.ask_at = Some(now + TOGETHER);
     }
 
     fn next_origin(&mut self) -> Origin {

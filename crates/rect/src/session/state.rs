@@ -116,8 +116,11 @@ impl State {
         let published = selected.iter().filter(|one| one.audience == Audience::All);
         let keys: Vec<_> = published.map(|selected| selected.key.clone()).collect();
         let running = self.running()?;
+        // Values that arrive meanwhile wait for the receiver.
+        let mut receivers = lock(&self.receivers);
         let number = running.driver().subscribe(&keys, Instant::now());
-        lock(&self.receivers).push((number, Arc::new(receiver)));
+        receivers.push((number, Arc::new(receiver)));
+        drop(receivers);
         running.wake();
         Ok(Receiving {
             state: Arc::clone(self),
@@ -138,7 +141,8 @@ impl Drop for Receiving {
     fn drop(&mut self) {
         lock(&self.state.receivers).retain(|(number, _)| *number != self.number);
         if let Some(running) = self.state.running.get() {
-            running.driver().unsubscribe(self.number);
+            running.driver().unsubscribe(self.number, Instant::now());
+            running.wake();
         }
     }
 }
