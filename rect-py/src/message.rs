@@ -8,13 +8,18 @@ use bytes::Bytes;
 use pyo3::prelude::*;
 use rect_core::{
     clock::unix::ms_since_1970,
-    message::{self, encoding::Encoding, payload::Payload, Delivery, Message, Undelivered},
+    message::{
+        self,
+        encoding::Encoding,
+        payload::Payload,
+        retained::{Arrival, Following},
+        Delivery, Message, Undelivered,
+    },
     name::{
         key::{Audience, Selected},
         topic::Pattern,
         Name,
     },
-    state::program::{Arrival, Following},
 };
 
 use crate::{

@@ -7,12 +7,13 @@ use std::{
 use pyo3::{prelude::*, pybacked::PyBackedBytes, IntoPyObjectExt};
 use rect_core::{
     clock::unix::ms_since_1970,
+    message::retained::{value::Value, Arrival},
     name::topic::Topic,
     state::{
         keeper::{Disk, Item, StateKeeper},
         latest::Latest,
-        page::{self, Order, Value},
-        program::{self, Arrival},
+        page::{self, Order},
+        program,
         retain::{Outcome, Retain},
     },
 };

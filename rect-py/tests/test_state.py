@@ -108,15 +108,16 @@ def test_change_during_a_cut_arrives_after_it(state_routers: Routers) -> None:
 @pytest.mark.parametrize("restarted", ["wombat-1", "wombat-2"])
 def test_restart_of_a_router_loses_and_repeats_nothing(state_routers: Routers, restarted: str) -> None:
     with state_routers.connect("wombat-1") as one, state_routers.connect("wombat-2") as two:
-        one.publish("restart/mode", "auto", retained=True)
-        with two.subscribe("wombat-1/restart/mode") as subscriber:
+        topic = f"restart/{restarted}"
+        one.publish(topic, "auto", retained=True)
+        with two.subscribe(f"wombat-1/{topic}") as subscriber:
             assert values(subscriber, 1) == ["auto"]
             state_routers.restart(restarted)
             # While the router is away, too.
-            one.publish("restart/mode", "stop", retained=True)
+            one.publish(topic, "stop", retained=True)
             assert values(subscriber, 1) == ["stop"]
             nothing_more(subscriber)
-            with two.subscribe("wombat-1/restart/mode") as late:
+            with two.subscribe(f"wombat-1/{topic}") as late:
                 assert values(late, 1) == ["stop"]
 
 
@@ -176,7 +177,7 @@ def test_limits_are_reported_and_the_message_is_published(state_routers: Routers
         message = subscriber.next(DEADLINE)
         assert (len(message.value), message.retained) == (limit + 1, None)
         one.forget("limits/most")
-        # 100,000 topics of a program that has gone wrong.
+        # 100,000 topics of a program with a mistake.
         with pytest.raises(rect.NotRetained, match="the retained topics of this robot have 262144 bytes already"):
             for number in range(100_000):
                 one.publish(f"flood/{number}", 1, retained=True)

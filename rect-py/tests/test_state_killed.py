@@ -27,7 +27,14 @@ TOPICS = 20
 #: The time from the first change of a run until its fault, at most, in seconds.
 LATEST_FAULT = 0.3
 #: The faults of the runs that have one besides the kill of the program.
-FAULTS = {8: "cut", 16: "router of the publisher", 24: "router of the subscriber", 32: "cut", 40: "both", 48: "router of the publisher"}
+FAULTS = {
+    8: "cut",
+    16: "router of the publisher",
+    24: "router of the subscriber",
+    32: "cut",
+    40: "both",
+    48: "router of the publisher",
+}
 
 #: Changes topics at random until it is killed. Prints the number of each change before and after it.
 _PUBLISHER = """

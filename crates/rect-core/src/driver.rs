@@ -7,7 +7,7 @@ mod action;
 mod event;
 pub mod question;
 
-pub use action::{Action, Answer, Declaration, Get, Target};
+pub use action::{Action, Answer, Declaration, Get, RetainedReply, Target};
 pub use event::{Event, Reaction, Sample};
 
 use std::time::Instant;

@@ -10,6 +10,7 @@ pub mod payload;
 pub mod problems;
 pub mod queue;
 pub mod request;
+pub mod retained;
 pub mod sequence;
 pub mod urgency;
 
@@ -22,20 +23,13 @@ use self::{
     encoding::Encoding,
     gaps::{Gaps, SenderCounts},
     payload::{FromPayload, Payload, PayloadError},
+    retained::{live::Live, order::RetainedOrder, Arrival, Following, Retained},
     urgency::Urgency,
 };
-use crate::{
-    name::{
-        key::{Address, AddressError, Audience, KeySpace, Selected},
-        topic::Topic,
-        Name,
-    },
-    state::{
-        live::Live,
-        order::RetainedOrder,
-        program::{Arrival, Following},
-        Retained,
-    },
+use crate::name::{
+    key::{Address, AddressError, Audience, KeySpace, Selected},
+    topic::Topic,
+    Name,
 };
 
 /// A message from another robot, or from another program of this robot. `T` is the type that the program has stated for

@@ -3,16 +3,14 @@
 //! The router of a robot keeps the values that its programs retain, and numbers them ([`keeper`]); a program without a router keeps its own.
 //! Only the keeper of a robot decides about its values. Other routers have copies of those that their programs subscribe to. A program asks
 //! its own router alone ([`program`]), and waits there for changes. It also receives each change as it is published, so that a subscription
-//! delivers each value once, and none after a newer one ([`order`]).
+//! delivers each value once, and none after a newer one ([`order`](crate::message::retained)).
 //!
-//! Values travel in [`page`]s: what changed since a number. A value that changes is also published as any message, with a [`live`]
+//! Values travel in [`page`]s: what changed since a number. A value that changes is also published as any message, with a [`live`](crate::message::retained::live)
 //! attachment, for subscribers that do not use RECT and for the copies.
 mod copies;
 mod followers;
 pub mod keeper;
 pub mod latest;
-pub mod live;
-pub(crate) mod order;
 pub mod page;
 mod polls;
 pub mod program;
@@ -23,9 +21,7 @@ mod tests;
 
 use std::time::Duration;
 
-use serde::{Deserialize, Serialize};
-
-use crate::message::payload::Payload;
+pub use crate::message::retained::{Origin, Position, MAX_VALUE};
 
 /// The part after `@rect/` of the key at which a router answers other robots.
 pub const STATE: &str = "state";
@@ -35,8 +31,6 @@ pub const OF_PROGRAMS: &str = "@set/state";
 /// gets every token.
 const TOKEN: &str = "s";
 
-/// The maximum size of a value, in bytes.
-pub const MAX_VALUE: usize = 64 << 10;
 /// The maximum size of the values of one robot, in bytes. Each counts [`OVERHEAD`] and its topic in addition.
 pub const MAX_ROBOT: usize = 256 << 10;
 /// The maximum size of all values that a router has, its own and the copies.
@@ -48,35 +42,3 @@ pub const BULK: usize = 4 << 10;
 /// How long a router that has just started waits for the programs of its robot, which give it their values again. Until then, no value
 /// that it does not know is regarded as forgotten.
 const GRACE: Duration = Duration::from_secs(10);
-
-/// Identifies a value: the run of the program that published it, and how many values that run had published before.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-pub struct Origin(pub u32, pub u64);
-
-/// A place in the order in which one run of a router numbers values: the run, a random number, and the number.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Position(pub u32, pub u64);
-
-/// The meaning of a retained message beside its value.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Retained {
-    /// How long ago it was published, by the clock of its robot's router; it does not depend on the time of day.
-    pub age: Duration,
-    /// Whether the program that published it has ended.
-    pub has_ended: bool,
-    /// Whether its robot has forgotten the topic: there is no value any more.
-    pub is_forgotten: bool,
-}
-
-/// The answer to a tool that asks for the value of a topic.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct RetainedReply {
-    /// The key.
-    pub key: String,
-    /// The value.
-    pub payload: Payload,
-    /// The attachment, as of the message.
-    pub attachment: Vec<u8>,
-    /// The number of the value, for zenoh-ext, which tells old values from new ones by it.
-    pub number: u32,
-}

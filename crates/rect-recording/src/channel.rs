@@ -6,8 +6,8 @@ use rect_core::message::{encoding::Encoding, urgency::Urgency};
 
 use crate::{
     entry::Entry,
+    entry::RetainedKind,
     picture::{self, Kind},
-    retained::RetainedKind,
     schema::{Foreign, Schema},
     view::JSON,
 };

@@ -7,7 +7,37 @@ use rect_core::{
     name::{key::OWN, topic::Topic, Name},
 };
 
-use crate::{retained::RetainedKind, schema::Foreign};
+use crate::schema::Foreign;
+
+/// The kind of an entry of a retained topic.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum RetainedKind {
+    /// A value that was published while the recording ran, or that was retained when it began.
+    Value,
+    /// A value at the beginning of a file, which a file before it contains.
+    Repeated,
+    /// The robot has forgotten the topic: there is no payload.
+    Forgotten,
+}
+
+impl RetainedKind {
+    const ALL: [Self; 3] = [Self::Value, Self::Repeated, Self::Forgotten];
+
+    /// Returns the name in a file.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Value => "value",
+            Self::Repeated => "repeated",
+            Self::Forgotten => "forgotten",
+        }
+    }
+
+    /// Returns the kind of that name. One of a later version is a value.
+    pub fn named(name: &str) -> Self {
+        let known = Self::ALL.into_iter().find(|kind| kind.name() == name);
+        known.unwrap_or(Self::Value)
+    }
+}
 
 /// A recorded message.
 #[derive(Clone, Debug, PartialEq)]

@@ -9,9 +9,9 @@ use zenoh_keyexpr::{keyexpr, OwnedKeyExpr};
 
 use crate::{
     entry::Entry,
+    entry::RetainedKind,
     file::{About, Encoder},
     reader::{end_of, files_of, ReadError, Reader},
-    retained::RetainedKind,
 };
 
 /// The name of the description that tells the end of the requested time, in nanoseconds since 1970.

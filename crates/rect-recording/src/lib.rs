@@ -32,11 +32,11 @@ mod time_range;
 pub mod video_file;
 pub mod view;
 
+pub use entry::RetainedKind;
 pub use entry::{address, Entry};
 pub use parts::Split;
 pub use reader::{Extras, Missing, ReadError, Reader};
 pub use recorder::{Progress, Recorder, Settings};
 pub use recorder_error::RecorderError;
 pub use replay::{by_time, Replay, Selection};
-pub use retained::RetainedKind;
 pub use summary::Summary;

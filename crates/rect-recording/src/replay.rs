@@ -7,9 +7,9 @@ use rect_core::name::{
 };
 
 use crate::{
-    entry::{address, Entry},
+    entry::{address, Entry, RetainedKind},
     remap::{remapped, Remap},
-    retained::{Repeats, RetainedKind},
+    retained::Repeats,
 };
 
 /// The part of a recording that is replayed, exported or copied.

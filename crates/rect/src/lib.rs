@@ -40,6 +40,7 @@ pub use rect_core::{
         mismatch::Mismatch,
         payload::{Cbor, FromPayload, Json, Payload, PayloadError, ToPayload, ValueOf},
         queue::WhenFull,
+        retained::Retained,
         urgency::Urgency,
         Message,
     },
@@ -55,7 +56,6 @@ pub use rect_core::{
         named_connection::NamedConnection,
     },
     session::{login::LoginRefused, router::WrongRobot},
-    state::Retained,
     storage::Content,
     stream::{
         options::OptionError,

@@ -23,6 +23,7 @@ mod recording;
 mod registry;
 mod request;
 mod requester;
+mod retained;
 mod retry;
 mod robot;
 mod router_links;

@@ -56,13 +56,13 @@ class State:
         """Lets a subscription get retained messages through the router alone, if it can."""
         self._core.follow(inbound)
 
-    def receive(self, queue: ReceiveQueue[Any], inbound: _rect.Inbound) -> Receiving:
+    def receive(self, queue: ReceiveQueue[Any], inbound: _rect.Inbound) -> Reception:
         """Delivers the retained messages of a subscription to its queue."""
         running = self._running()
         session = self._session
         number = self._core.subscribe(queue.queue, inbound, session.counters, session.links)
         running.wake()
-        return Receiving(self._core, running, number)
+        return Reception(self._core, running, number)
 
     def retain(self, topic: str, payload: Payload, urgency: str, disk: bool) -> None:
         """Publishes a value that the router keeps. Raises `NotRetained`, `InvalidTopicError`, `OptionError` and `Closed`."""
@@ -105,7 +105,7 @@ class State:
         return metadata, Payload(bytes, encoding)
 
 
-class Receiving:
+class Reception:
     """The part of a subscription that retained messages go through."""
 
     def __init__(self, core: _rect.ProgramState, running: Executor, number: int) -> None:

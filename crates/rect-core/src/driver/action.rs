@@ -2,10 +2,7 @@
 use std::time::Duration;
 
 use super::{Id, QueryId};
-use crate::{
-    message::{payload::Payload, urgency::Qos},
-    state::RetainedReply,
-};
+use crate::message::{payload::Payload, urgency::Qos};
 
 /// An action on a Zenoh session.
 #[derive(Clone, Debug, PartialEq)]
@@ -75,6 +72,19 @@ pub enum Action {
         /// The values; none ends the query.
         replies: Vec<RetainedReply>,
     },
+}
+
+/// The answer to a tool that asks for the value of a topic.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RetainedReply {
+    /// The key.
+    pub key: String,
+    /// The value.
+    pub payload: Payload,
+    /// The attachment, as of the message.
+    pub attachment: Vec<u8>,
+    /// The number of the value, for zenoh-ext, which tells old values from new ones by it.
+    pub number: u32,
 }
 
 /// An entity that a driver declares.

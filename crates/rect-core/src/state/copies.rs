@@ -15,21 +15,21 @@ use crate::{driver::Id, name::Name};
 /// The pause before a router that has not answered is asked again. It doubles until [`LONGEST_PAUSE`].
 const PAUSE: Duration = Duration::from_secs(1);
 const LONGEST_PAUSE: Duration = Duration::from_secs(30);
-/// The time after which a robot that is there and whose router keeps no values any more has forgotten them.
+/// The time after which a reachable robot whose router keeps no values any more has forgotten them.
 const FORGOTTEN_AFTER: Duration = Duration::from_secs(20);
 /// The maximum number of robots.
 const MAX_ROBOTS: usize = 256;
 /// The maximum number of pages of one answer.
 const MAX_PAGES: u32 = 64;
 
-/// What is known of another robot.
+/// The knowledge about another robot.
 #[derive(Debug)]
 pub(super) struct Copied {
     /// The runs of its router that have a token, the newest last.
     runs: Vec<u32>,
     /// The number of tokens of its presence.
     presence: usize,
-    /// Since when it is there without keeping values.
+    /// Since when it is reachable without keeping values.
     without: Option<Instant>,
     /// The position up to which everything is known.
     position: Option<Position>,

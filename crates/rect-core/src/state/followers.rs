@@ -1,7 +1,7 @@
 //! The routers of other robots that have copies of this robot's values, and whether they have the last ones.
 //!
 //! A published value can be lost: with a link for which another one takes over at once, or over UDP. So after the last of several changes
-//! each of these routers is asked once whether it has all values, until it answers or is gone. Nothing is asked while nothing changes.
+//! each of these routers is asked once whether it has all values, until it answers or has left. Nothing is asked while nothing changes.
 use std::{
     collections::BTreeMap,
     time::{Duration, Instant},
@@ -86,14 +86,14 @@ impl Followers {
         self.0.get(robot).map_or(&[], |follower| &follower.keys)
     }
 
-    /// Handles the answer of a router: it has all values, or asks for them itself. `is_gone`: it has no copies any more.
-    pub(super) fn on_answer(&mut self, id: Id, is_gone: bool) {
+    /// Handles the answer of a router: it has all values, or asks for them itself. `has_left`: it has no copies any more.
+    pub(super) fn on_answer(&mut self, id: Id, has_left: bool) {
         let mut all = self.0.iter_mut();
         let Some((robot, follower)) = all.find(|(_, follower)| follower.asking == Some(id)) else {
             return;
         };
         follower.asking = None;
-        if is_gone {
+        if has_left {
             let robot = robot.clone();
             self.0.remove(&robot);
         }

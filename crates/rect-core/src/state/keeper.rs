@@ -12,8 +12,9 @@ use zenoh_keyexpr::OwnedKeyExpr;
 use super::{
     copies::{is_of, Copied, Copies},
     followers::Followers,
-    live::Live,
-    page::{checked, read, selects, write, Kept, Order, Page, Question, Value},
+    page::{
+        checked, read, selects, write, Kept, Order, Page, Question, MAX_KEYS, MAX_KEYS_OF_PROGRAM,
+    },
     polls::Polls,
     store::{is_selected, zenoh_key, Entry, Full, Key, Store},
     Origin, Position, BULK, GRACE, OF_PROGRAMS, STATE, TOKEN,
@@ -21,12 +22,14 @@ use super::{
 use crate::{
     catalogue::token::{self, Token},
     driver::{
-        Action, Answer, Declaration, Driver, Event, Get, Id, QueryId, Reaction, Sample, Step,
+        Action, Answer, Declaration, Driver, Event, Get, Id, QueryId, Reaction, RetainedReply,
+        Sample, Step,
     },
     message::{
         encoding::Encoding,
         payload::Payload,
         request::RequestHeader,
+        retained::{live::Live, value::Value},
         urgency::{Qos, Urgency},
     },
     name::{key::KeySpace, topic::Topic, Name},
@@ -277,7 +280,7 @@ impl StateKeeper {
             let complete = false;
             self.declare(id, Declaration::Queryable { key, complete });
         }
-        // The last one: whoever sees it can ask.
+        // The last one: a router that sees it can ask.
         self.declare(TOKEN_ID, Declaration::LivelinessToken { key });
     }
 
@@ -291,7 +294,7 @@ impl StateKeeper {
                 program,
                 since,
                 keys,
-            } => match checked(keys) {
+            } => match checked(keys, MAX_KEYS_OF_PROGRAM) {
                 Ok(keys) => {
                     let replaced = self.polls.add(program, query, since, keys, now);
                     replaced.into_iter().for_each(|query| self.end(query));
@@ -300,7 +303,7 @@ impl StateKeeper {
                 }
                 Err(error) => self.refuse(query, error),
             },
-            Order::Latest { key } => match checked(vec![key]) {
+            Order::Latest { key } => match checked(vec![key], 1) {
                 Ok(keys) => {
                     let page = self.page(None, &keys, now, false);
                     self.answer(query, OF_PROGRAMS, write(&page));
@@ -516,7 +519,11 @@ impl StateKeeper {
         // The values of this robot are not copies.
         let is_of_others = |key: &OwnedKeyExpr| !key.as_str().starts_with(&own);
         let interests = self.polls.interests().into_iter().filter(is_of_others);
-        let interests: Vec<_> = interests.collect();
+        let mut interests: Vec<_> = interests.collect();
+        if interests.len() > MAX_KEYS {
+            let all = OwnedKeyExpr::autocanonize(format!("{fleet}/*/**"));
+            interests = all.into_iter().collect();
+        }
         if interests == self.interests {
             return;
         }
@@ -583,7 +590,7 @@ impl StateKeeper {
                 adds,
                 since,
                 keys,
-            }) => match checked(keys) {
+            }) => match checked(keys, MAX_KEYS) {
                 Ok(keys) => {
                     let page = self.page(since, &keys, now, true);
                     if let Some(by) = by.and_then(|by| Name::new(&by).ok()) {
@@ -631,7 +638,7 @@ impl StateKeeper {
             Some((topics, _)) => topics,
             None => asked,
         };
-        let keys = checked(vec![asked.to_owned()]).unwrap_or_default();
+        let keys = checked(vec![asked.to_owned()], 1).unwrap_or_default();
         let own = self.store.of(&self.place.robot);
         let fleet = &self.place.fleet;
         let selected = own.filter(|(key, _)| !is_request && is_selected(fleet, &keys, key));
@@ -642,7 +649,7 @@ impl StateKeeper {
                 sent_ms: entry.sent_ms,
                 urgency: entry.urgency,
             };
-            Some(super::RetainedReply {
+            Some(RetainedReply {
                 key: zenoh_key(fleet, key),
                 payload: entry.payload.clone()?,
                 attachment: live.encode(),
@@ -779,7 +786,7 @@ impl StateKeeper {
             since: now,
             ..entry
         };
-        // What is forgotten takes no room.
+        // A topic without a value takes no room.
         let _ = self.store.put(key, gone);
     }
 

@@ -2,13 +2,13 @@
 use std::time::{Duration, Instant};
 
 use super::{
-    page::{read, write, Order, Page, Question, Value},
+    page::{read, write, Order, Page, Question},
     program::order_to,
     STATE,
 };
 use crate::{
     driver::{Action, Driver, Event, Get, Id, Reaction, Step},
-    message::urgency::Qos,
+    message::{retained::value::Value, urgency::Qos},
     name::{key::KeySpace, topic::Topic, Name},
 };
 

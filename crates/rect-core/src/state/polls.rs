@@ -21,7 +21,7 @@ pub(super) struct Poll {
     pub query: Option<QueryId>,
     pub since: Option<Position>,
     pub keys: Vec<OwnedKeyExpr>,
-    /// When the question ends without changes, or, after it has ended, when the program is regarded as gone.
+    /// When the question ends without changes, or, after it has ended, when the program is regarded as ended.
     until: Instant,
 }
 
@@ -83,7 +83,7 @@ impl Polls {
         poll.query.take()
     }
 
-    /// Returns the programs whose time is up: the questions to end, and the programs that are gone.
+    /// Returns the programs whose time is up: the questions to end, and the programs that have ended.
     pub(super) fn due(&mut self, now: Instant) -> (Vec<u32>, Vec<u32>) {
         let due = |(program, poll): (&u32, &Poll)| {
             (poll.until <= now).then_some((*program, poll.query.is_some()))

@@ -2,22 +2,23 @@
 //! again after a restart.
 use std::{
     collections::{BTreeMap, VecDeque},
-    sync::{
-        atomic::{AtomicBool, Ordering},
-        Arc,
-    },
     time::{Duration, Instant},
 };
 
 use zenoh_keyexpr::OwnedKeyExpr;
 
 use super::{
-    page::{read, write, Kept, Order, Page, Value},
+    page::{read, write, Kept, Order, Page},
     Origin, Position, OF_PROGRAMS,
 };
 use crate::{
     driver::{Action, Declaration, Driver, Event, Get, Id, Reaction, Step},
-    message::{encoding::Encoding, payload::Payload, urgency::Urgency},
+    message::{
+        encoding::Encoding,
+        payload::Payload,
+        retained::{value::Value, Arrival, Following},
+        urgency::Urgency,
+    },
     name::{key::KeySpace, topic::Topic, Name},
 };
 
@@ -34,52 +35,11 @@ const PAUSES: [Duration; 4] = [
 ];
 /// How long a new subscription waits for others, which are asked for together with it.
 const TOGETHER: Duration = Duration::from_millis(2);
+/// The number of own topics from which a program asks for all topics of its robot.
+const MAX_OWN: usize = 32;
 /// The first id of the questions.
 const FIRST: u64 = 1;
 const LINKS: Id = Id(0);
-
-/// Whether retained messages reach a program through its router. If not, because the router is older than they are, they are delivered as
-/// they are published.
-#[derive(Clone, Debug)]
-pub struct Following(Arc<AtomicBool>);
-
-impl Default for Following {
-    fn default() -> Self {
-        Self(Arc::new(AtomicBool::new(true)))
-    }
-}
-
-impl Following {
-    /// Returns whether they do.
-    pub fn is_active(&self) -> bool {
-        self.0.load(Ordering::Relaxed)
-    }
-
-    fn set(&self, is_active: bool) {
-        self.0.store(is_active, Ordering::Relaxed);
-    }
-}
-
-/// Something from the router of a program, for its subscriptions.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Arrival {
-    /// A value, with the name of its robot.
-    Value {
-        /// The value.
-        value: Value,
-        /// The run of the program's router.
-        router: u32,
-    },
-    /// All values of a robot have arrived: others are forgotten.
-    Complete {
-        /// The robot.
-        robot: Name,
-        /// The position at the robot's router up to which all are known.
-        at: Position,
-        /// The run of the program's router.
-        router: u32,
-    },
-}
 
 /// A value that this program has published.
 #[derive(Debug)]
@@ -249,9 +209,11 @@ impl ProgramState {
     }
 
     fn question(&self) -> Order {
-        let own = self.own.keys().map(|topic| self.place.publication(topic));
         let mut keys: Vec<_> = self.keys().iter().map(ToString::to_string).collect();
-        keys.extend(own);
+        match self.own.len() > MAX_OWN {
+            true => keys.push(self.place.services()),
+            false => keys.extend(self.own.keys().map(|topic| self.place.publication(topic))),
+        }
         keys.sort();
         keys.dedup();
         Order::Poll {

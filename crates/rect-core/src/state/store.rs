@@ -8,15 +8,15 @@ use std::{
 use zenoh_keyexpr::OwnedKeyExpr;
 
 use super::{
-    page::{selects, Page, Value, PAGE},
+    page::{selects, Page, PAGE},
     Origin, Position, MAX_ROBOT, MAX_ROUTER, MAX_VALUE, OVERHEAD,
 };
 use crate::{
-    message::{encoding::Encoding, payload::Payload, urgency::Urgency},
+    message::{encoding::Encoding, payload::Payload, retained::value::Value, urgency::Urgency},
     name::{topic::Topic, Name},
 };
 
-/// The maximum number of forgotten topics that are remembered. Whoever asks for changes since an older one gets everything.
+/// The maximum number of forgotten topics that are remembered. A question for changes since an older one gets everything.
 const MAX_FORGOTTEN: usize = 1024;
 
 /// A robot and one of its topics.

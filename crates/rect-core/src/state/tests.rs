@@ -9,15 +9,21 @@ use zenoh_keyexpr::keyexpr;
 
 use super::{
     keeper::{Disk, Item, StateKeeper},
-    page::{Order, Page, Question, Value},
-    program::{Arrival, ProgramState},
+    page::{Order, Page, Question},
+    program::ProgramState,
     retain::{Outcome, Retain},
     Origin, Position,
 };
 use crate::{
     catalogue::{token::Token, Instance},
     driver::{Action, Answer, Declaration, Driver, Event, Id, QueryId, Sample, Step},
-    message::{encoding::Encoding, payload::Payload, urgency::Urgency, Delivery, Inbound, Message},
+    message::{
+        encoding::Encoding,
+        payload::Payload,
+        retained::{live::Live, value::Value, Arrival},
+        urgency::Urgency,
+        Delivery, Inbound, Message,
+    },
     name::{
         key::KeySpace,
         topic::{Pattern, Topic},
@@ -54,7 +60,7 @@ struct Router {
     keeper: StateKeeper,
     run: u32,
     declared: BTreeMap<Id, Declaration>,
-    /// The tokens that it has been told of, by subscription.
+    /// The tokens that were reported to it, by subscription.
     seen: BTreeMap<Id, BTreeSet<String>>,
     /// The open queries: who asked, and with which id.
     queries: HashMap<QueryId, (Node, u64, Id)>,
@@ -115,7 +121,7 @@ struct World {
     links: [(bool, u64); 3],
     has_mesh: bool,
     routers: [Option<Router>; ROBOTS],
-    /// What each router has saved.
+    /// The bytes that each router has saved.
     disks: [Option<Vec<u8>>; ROBOTS],
     programs: BTreeMap<(usize, usize), Program>,
     epochs: HashMap<Node, u64>,
@@ -290,7 +296,7 @@ impl World {
         token.key(&name("rect"))
     }
 
-    /// Tells the routers of the tokens that they see now and of those that they do not see any more.
+    /// Reports the tokens to the routers that they see now, and those that they do not see any more.
     fn on_tokens(&mut self) {
         for robot in 0..ROBOTS {
             let mut visible = BTreeSet::new();
@@ -432,7 +438,7 @@ impl World {
             is_deleted: sample.is_deleted,
             subscription: 0,
         };
-        let live = super::live::Live::decode(sample.attachment.as_deref().expect("retained"));
+        let live = Live::decode(sample.attachment.as_deref().expect("retained"));
         let message = program.inbound.on_delivery(delivery, Instant::now);
         if let Ok(message) = message {
             self.on_message(robot, number, message, live.expect("retained").origin);
@@ -484,7 +490,7 @@ impl World {
                 attachment,
                 ..
             } => {
-                let live = super::live::Live::decode(&attachment).expect("an attachment");
+                let live = Live::decode(&attachment).expect("an attachment");
                 let address = place(robot).parse(&key).expect("an address");
                 let key_of = (address.sender, address.topic);
                 self.history.entry(key_of).or_default().push(live.origin);
@@ -841,7 +847,7 @@ impl World {
                     return;
                 }
                 Step::Finished(outcome) => {
-                    let (_, topic, order) = program.retain.take().expect("it is there");
+                    let (_, topic, order) = program.retain.take().expect("it publishes");
                     match outcome {
                         Outcome::Kept(kept) => program.state.on_kept(topic, &order, kept, now),
                         Outcome::NoKeeper => {}

@@ -1,8 +1,7 @@
 //! Declares publishers, publishes, queries and answers on a Zenoh session as the core's actions say.
 use rect_core::{
-    driver::{Answer, Get, Sample, Target},
+    driver::{Answer, Get, RetainedReply, Sample, Target},
     message::{payload::Payload, urgency::Qos},
-    state::RetainedReply,
 };
 use zenoh::{
     bytes::{Encoding, ZBytes},

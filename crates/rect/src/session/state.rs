@@ -1,28 +1,24 @@
-//! Publishes retained messages, receives them from the router, and keeps the state of a robot.
+//! Receives retained messages from the router, and keeps the state of a robot.
 use std::{
     sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak},
-    time::{Instant, SystemTime},
+    time::Instant,
 };
 
 use rect_core::{
-    clock::unix::ms_since_1970,
+    driver::Event,
     message::{
         counters::AtomicCounters,
-        payload::{FromPayload, Payload},
+        retained::{Arrival, Following},
         Inbound, Message,
     },
     name::{
         key::{Audience, KeySpace, Selected},
         topic::Topic,
-        Name,
     },
     registry::topics::RetainedTopic,
     state::{
         keeper::{Disk, IsServed, Item, StateKeeper},
-        latest::Latest,
-        page::Order,
-        program::{Arrival, Following, ProgramState},
-        retain::{Outcome, Retain},
+        program::ProgramState,
     },
 };
 use zenoh::Session;
@@ -30,11 +26,10 @@ use zenoh::Session;
 use super::{
     executor::Executor,
     receive_queue::ReceiveQueue,
-    robot::Robot,
     router_links::LinkTable,
-    shared::{NoItems, Shared, Sink},
+    shared::{Shared, Sink},
 };
-use crate::error::{valid, Error};
+use crate::error::Error;
 
 /// Begins to keep the state of a program that has no router.
 pub(super) fn keep_own(session: &Session, place: &KeySpace) -> Result<KeptState, Error> {
@@ -71,7 +66,7 @@ pub(super) struct Receiver {
 }
 
 /// A subscription to retained messages. Dropping it ends it.
-pub(super) struct Receiving {
+pub(super) struct Reception {
     state: Arc<State>,
     number: u64,
 }
@@ -87,7 +82,7 @@ impl State {
         })
     }
 
-    fn running(&self) -> Result<&Arc<Shared<ProgramState>>, Error> {
+    pub(super) fn running(&self) -> Result<&Arc<Shared<ProgramState>>, Error> {
         if let Some(running) = self.running.get() {
             return Ok(running);
         }
@@ -97,7 +92,7 @@ impl State {
         let started = executor.start_thread("rect state")?;
         // Of two threads that start it at the same time, one closes its own.
         if let Err(second) = self.running.set(started) {
-            second.on_event(rect_core::driver::Event::Closed);
+            second.on_event(Event::Closed);
         }
         self.running.get().ok_or(Error::Closed)
     }
@@ -112,7 +107,7 @@ impl State {
         self: &Arc<Self>,
         selected: &[Selected],
         receiver: Receiver,
-    ) -> Result<Receiving, Error> {
+    ) -> Result<Reception, Error> {
         let published = selected.iter().filter(|one| one.audience == Audience::All);
         let keys: Vec<_> = published.map(|selected| selected.key.clone()).collect();
         let running = self.running()?;
@@ -122,7 +117,7 @@ impl State {
         receivers.push((number, Arc::new(receiver)));
         drop(receivers);
         running.wake();
-        Ok(Receiving {
+        Ok(Reception {
             state: Arc::clone(self),
             number,
         })
@@ -132,12 +127,12 @@ impl State {
 impl Drop for State {
     fn drop(&mut self) {
         if let Some(running) = self.running.get() {
-            running.on_event(rect_core::driver::Event::Closed);
+            running.on_event(Event::Closed);
         }
     }
 }
 
-impl Drop for Receiving {
+impl Drop for Reception {
     fn drop(&mut self) {
         lock(&self.state.receivers).retain(|(number, _)| *number != self.number);
         if let Some(running) = self.state.running.get() {
@@ -165,168 +160,6 @@ impl Sink<Arrival> for ToReceivers {
                     .counting
                     .on_received(message.payload.bytes.len(), 0);
                 queue.push(message);
-            }
-        }
-    }
-}
-
-impl Robot {
-    /// Returns a handle that retains what it publishes: the router of this robot keeps the last value of each topic, and programs that
-    /// start later, or whose link was interrupted, receive it.
-    ///
-    /// A subscription receives the value first, then each change, never one twice or an older one after a newer one
-    /// ([`Message::retained`]). The value stays when this program ends. A robot's values have 256 kB at most, and one has 64 kB. Requests,
-    /// streams and messages to one robot are not affected, and retained messages do not expire.
-    ///
-    /// ```no_run
-    /// # async fn mode(robot: rect::Robot) -> Result<(), rect::Error> {
-    /// robot.retained().publish("mode", "auto").await?;
-    /// # Ok(()) }
-    /// ```
-    #[must_use]
-    pub fn retained(&self) -> Self {
-        self.with_retention(Retention::InMemory)
-    }
-
-    /// Returns a handle as [`retained`](Self::retained) does, whose values also survive a restart of the robot. The router writes each one
-    /// to its disk before it is published: for values that change rarely, such as a calibration.
-    #[must_use]
-    pub fn retained_on_disk(&self) -> Self {
-        self.with_retention(Retention::OnDisk)
-    }
-
-    /// Returns the last value of a retained topic of `robot`, or nothing if that robot retains none or is not reachable. At once if a
-    /// program of this robot subscribes to the topic; otherwise the other robot's router is asked.
-    ///
-    /// ```no_run
-    /// # async fn mode(robot: rect::Robot) -> Result<(), rect::Error> {
-    /// if let Some(message) = robot.latest::<String>("wombat-2", "mode").await? {
-    ///     println!("{:?}", message.value);
-    /// }
-    /// # Ok(()) }
-    /// ```
-    ///
-    /// # Errors
-    /// [`Error::Name`] or [`Error::Topic`] if an argument is invalid, and [`Error::Closed`] if the session is closed.
-    ///
-    /// # Cancel safety
-    /// Dropping the future has no effect.
-    pub async fn latest<T: FromPayload>(
-        &self,
-        robot: impl TryInto<Name, Error: Into<Error>>,
-        topic: impl TryInto<Topic, Error: Into<Error>>,
-    ) -> Result<Option<Message<T::Value>>, Error> {
-        let (robot, topic): (Name, Topic) = (valid(robot)?, valid(topic)?);
-        let inner = &self.inner;
-        let latest = Latest::new(inner.place.clone(), robot.clone(), topic, self.timeout);
-        let found = Executor::new(&inner.session, latest, NoItems).run().await?;
-        let Some(value) = found else {
-            return match self.is_closed() {
-                true => Err(Error::Closed),
-                false => Ok(None),
-            };
-        };
-        let mut message = value.message(robot);
-        inner.decoder.decode_message(&mut message).await;
-        Ok(Some(message.typed::<T>()))
-    }
-
-    /// Forgets a retained topic of this robot. Subscribers receive that as a message without a value ([`Retained::is_forgotten`]). Nothing
-    /// happens if it has no value.
-    ///
-    /// # Errors
-    /// [`Error::Topic`] if the topic is invalid, [`Error::NotRetained`] if no router keeps it, and [`Error::Closed`] if the session is
-    /// closed.
-    ///
-    /// # Cancel safety
-    /// If the future is dropped after it was polled, the topic may be forgotten or not.
-    pub async fn forget(
-        &self,
-        topic: impl TryInto<Topic, Error: Into<Error>>,
-    ) -> Result<(), Error> {
-        let topic: Topic = valid(topic)?;
-        let running = self.inner.state.running()?;
-        let order = running.driver().forget(&topic, now_ms());
-        self.give(topic, order).await
-    }
-
-    /// Gives a value to the router of this robot, which publishes it.
-    pub(super) async fn retain(
-        &self,
-        retention: Retention,
-        topic: Topic,
-        payload: Payload,
-    ) -> Result<(), Error> {
-        self.retain_at(retention, topic, payload, now_ms()).await
-    }
-
-    /// Retains the value of a recording again, or forgets its topic. `sent_ms`: when it was published, in milliseconds since 1970.
-    #[cfg(feature = "recording")]
-    pub(super) async fn replay_retained(
-        &self,
-        topic: Topic,
-        value: Option<Payload>,
-        sent_ms: u64,
-    ) -> Result<(), Error> {
-        match value {
-            Some(payload) => {
-                self.retain_at(Retention::InMemory, topic, payload, sent_ms)
-                    .await
-            }
-            None => self.forget(topic).await,
-        }
-    }
-
-    async fn retain_at(
-        &self,
-        retention: Retention,
-        topic: Topic,
-        payload: Payload,
-        sent_ms: u64,
-    ) -> Result<(), Error> {
-        let running = self.inner.state.running()?;
-        let size = payload.bytes.len();
-        let (urgency, disk) = (self.urgency(), retention == Retention::OnDisk);
-        let order = (running.driver()).set(&topic, payload, urgency, disk, sent_ms);
-        let given = self.give(topic, order).await;
-        if given.is_ok() {
-            self.inner.counting.on_sent(size);
-        }
-        given
-    }
-
-    async fn give(&self, topic: Topic, order: Order) -> Result<(), Error> {
-        let inner = &self.inner;
-        let running = inner.state.running()?;
-        let retain = Retain::new(&inner.place, &order, Instant::now());
-        let outcome = Executor::new(&inner.session, retain, NoItems).run().await?;
-        match outcome {
-            Outcome::Kept(kept) => {
-                if let Some(warning) = &kept.warning {
-                    inner.warnings.on_state(warning);
-                }
-                (running.driver()).on_kept(topic, &order, kept, Instant::now());
-                running.wake();
-                Ok(())
-            }
-            Outcome::Closed => Err(Error::Closed),
-            Outcome::Refused(reason) => Err(Error::NotRetained {
-                topic: topic.to_string(),
-                reason,
-            }),
-            Outcome::NoKeeper => {
-                if let Order::Set {
-                    encoding, bytes, ..
-                } = order
-                {
-                    let payload =
-                        Payload::new(bytes, rect_core::message::encoding::Encoding::new(encoding));
-                    self.send_plain(topic.clone(), payload).await?;
-                }
-                Err(Error::NotRetained {
-                    topic: topic.to_string(),
-                    reason: "no router of this robot keeps values. Start rect-router, or a later version of it".to_owned(),
-                })
             }
         }
     }
@@ -374,7 +207,7 @@ impl KeptState {
 
 impl Drop for KeptState {
     fn drop(&mut self) {
-        self.0.on_event(rect_core::driver::Event::Closed);
+        self.0.on_event(Event::Closed);
     }
 }
 
@@ -399,10 +232,6 @@ impl Sink<Item> for Writer {
             }
         }
     }
-}
-
-fn now_ms() -> u64 {
-    ms_since_1970(SystemTime::now())
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {

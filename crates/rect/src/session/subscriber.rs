@@ -36,7 +36,7 @@ use super::{
     receive_queue::{QueueWriter, ReceiveQueue},
     robot::Robot,
     router_links::RouterLinks,
-    state::{Receiver, Receiving},
+    state::{Receiver, Reception},
     warnings::Warnings,
 };
 use crate::error::{valid, Error};
@@ -73,7 +73,7 @@ pub struct Subscriber<T: FromPayload = Payload> {
     next: NextItem<Message<T::Value>>,
     _declared: Vec<zenoh::pubsub::Subscriber<()>>,
     /// The retained messages.
-    _receiving: Receiving,
+    _reception: Reception,
 }
 
 /// The parts of a subscriber that a message passes through when the program reads it.
@@ -197,7 +197,7 @@ impl Robot {
         Ok(Subscriber {
             _declared: declared.collect::<Result<_, _>>()?,
             // The subscriptions precede it, so that no change is missed between them.
-            _receiving: self.inner.state.receive(&receiving, receiver)?,
+            _reception: self.inner.state.receive(&receiving, receiver)?,
             reading: Reading {
                 queue,
                 decoder: self.inner.decoder.clone(),

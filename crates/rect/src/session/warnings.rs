@@ -48,7 +48,7 @@ impl Warnings {
     }
 
     /// Warns of a problem that the router has with a retained value.
-    pub(super) fn on_state(&self, text: &str) {
+    pub(super) fn on_retention_problem(&self, text: &str) {
         if locked(&self.state).replace(text.to_owned()).as_deref() != Some(text) {
             warn(text);
         }

@@ -2,7 +2,7 @@
 //! and none after a newer one.
 use std::collections::BTreeMap;
 
-use super::{live::Live, page::Value, Origin, Position};
+use super::{live::Live, value::Value, Origin, Position};
 use crate::name::{topic::Topic, Name};
 
 /// The retained values that a subscription has delivered.
