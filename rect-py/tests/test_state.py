@@ -157,9 +157,9 @@ def test_disk_that_cannot_be_written_is_reported_and_loses_nothing_in_memory(
 
 def test_topic_is_either_served_or_retained(state_routers: Routers) -> None:
     with state_routers.connect("wombat-1") as one, state_routers.connect("wombat-1") as other:
-        with other.serve("either/grab", lambda _: "done"):
-            with pytest.raises(rect.NotRetained, match="a program of this robot serves either/grab"):
-                one.publish("either/grab", 1, retained=True)
+        served = "a program of this robot serves either/grab"
+        with other.serve("either/grab", lambda _: "done"), pytest.raises(rect.NotRetained, match=served):
+            one.publish("either/grab", 1, retained=True)
         one.publish("either/mode", 1, retained=True)
         with pytest.raises(rect.ServiceRefused, match="either/mode is retained by a program of this robot"):
             other.serve("either/mode", lambda _: "done")

@@ -1,5 +1,5 @@
-"""Tests that all programs have the last values at rest, each once and none older after a newer one, while the program that
-publishes them is killed again and again, the link is cut, and routers are killed.
+"""Tests that all programs have the last values at rest, each once and none older after a newer one, while the program
+that publishes them is killed again and again, the link is cut, and routers are killed.
 
 RECT_ROUTER=target/checked/rect-router RECT_TOOL=target/checked/rect pytest -s rect-py/tests/test_state_killed.py
 """

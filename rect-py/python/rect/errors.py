@@ -118,7 +118,7 @@ class NotReachable(RectError, ConnectionError):
 
 
 class NotRetained(RectError, ValueError):
-    """A message was published and is not retained: programs that start later do not get it. The text states what to do."""
+    """A message is not retained, so that programs that start later do not get it. The text states what to do."""
 
     def __init__(self, topic: str, reason: str) -> None:
         super().__init__(f"{topic} is not retained: {reason}")

@@ -64,8 +64,8 @@ class Message(Generic[T]):
     def value(self) -> T:
         """The decoded payload, as the type that the subscriber states.
 
-        By default a dict, text, a numpy array, a `Picture` and so on, or bytes if the encoding is unknown. `None` if the
-        robot has forgotten the retained topic.
+        By default a dict, text, a numpy array, a `Picture` and so on, or bytes if the encoding is unknown. `None` if
+        the robot has forgotten the retained topic.
 
         Raises `PayloadError` if the bytes do not match the encoding, and `problem` if there is one.
         """

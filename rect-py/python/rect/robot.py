@@ -141,10 +141,11 @@ class Robot:
           such as steering. Where another message would wait for room, this one is dropped. A receiver drops it if it
           was on the way for longer, or has waited for longer in the receive queue, and counts it (`counters`). Default:
           the message never expires.
-        - `retained`: whether this robot's router keeps the value as the last one of its topic. Programs that start later,
-          or whose link was interrupted, receive it; none receives a value twice, or an older one after a newer one
-          (`Message.retained`). It stays when this program ends. `"disk"`: it also survives a restart of the robot, and is
-          written before it is published. A value has 64 kB at most, and those of a robot 256 kB. Default: `False`.
+        - `retained`: whether this robot's router keeps the value as the last one of its topic. Programs that start
+          later, or whose link was interrupted, receive it; none receives a value twice, or an older one after a newer
+          one (`Message.retained`). It stays when this program ends. `"disk"`: it also survives a restart of the robot,
+          and is written before it is published. A value has 64 kB at most, and those of a robot 256 kB. Default:
+          `False`.
 
         Raises `InvalidTopicError`, `PayloadError`, `CodecError`, `OptionError`, `Closed`, and `NotRetained` if the
         message was published and is not kept.
@@ -315,7 +316,8 @@ class Robot:
         At once if a program of this robot subscribes to the topic; otherwise the other robot's router is asked.
         `type`: see `subscribe`.
 
-        Raises `InvalidNameError`, `InvalidTopicError`, `Closed`, and `TypeError` if values cannot be converted to the type.
+        Raises `InvalidNameError`, `InvalidTopicError`, `Closed`, and `TypeError` if values cannot be converted to the
+        type.
 
         >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
         ...     robot.publish("mode", "auto", retained=True)
@@ -372,8 +374,8 @@ class Robot:
     def wait_for_message(self, pattern: str, type: Any = None, *, timeout: float | None = None) -> Message[Any]:
         """Waits for the next message that matches the pattern and returns it.
 
-        Messages that were sent before this call are not received, except the last value of a retained topic. `timeout` is in seconds; `None`, the default, waits
-        without limit. For `type` see `subscribe`.
+        Messages that were sent before this call are not received, except the last value of a retained topic. `timeout`
+        is in seconds; `None`, the default, waits without limit. For `type` see `subscribe`.
 
         Raises `TimedOut`, `InvalidNameError`, `InvalidTopicError`, `OptionError`, `Closed` and `TypeError`.
         """

@@ -65,7 +65,10 @@ class State:
         return Reception(self._core, running, number)
 
     def retain(self, topic: str, payload: Payload, urgency: str, disk: bool) -> None:
-        """Publishes a value that the router keeps. Raises `NotRetained`, `InvalidTopicError`, `OptionError` and `Closed`."""
+        """Publishes a value that the router keeps.
+
+        Raises `NotRetained`, `InvalidTopicError`, `OptionError` and `Closed`.
+        """
         self._session.warn(self._session.used_names.on_topic(topic))
         order = self._core.set(topic, payload.bytes, payload.encoding, urgency, disk)
         if not self._give(topic, order):
@@ -95,7 +98,10 @@ class State:
         return True
 
     def latest(self, robot: str, topic: str) -> tuple[_rect.MessageMetadata, Payload] | None:
-        """Returns the last value of a topic, if there is one. Raises `InvalidNameError`, `InvalidTopicError` and `Closed`."""
+        """Returns the last value of a topic, if there is one.
+
+        Raises `InvalidNameError`, `InvalidTopicError` and `Closed`.
+        """
         driver = _rect.latest(self._session.key_space, robot, topic, _rect.QUERY_TIMEOUT_S)
         found = Executor(self._session, driver).run()
         if found is None:
