@@ -32,6 +32,7 @@ targets! {
     recording,
     sdu,
     selector,
+    state,
     transfer,
     video,
 }

@@ -178,6 +178,7 @@ def test_limits_are_reported_and_the_message_is_published(state_routers: Routers
         assert (len(message.value), message.retained) == (limit + 1, None)
         one.forget("limits/most")
         # 100,000 topics of a program with a mistake.
+        number = 0
         with pytest.raises(rect.NotRetained, match="the retained topics of this robot have 262144 bytes already"):
             for number in range(100_000):
                 one.publish(f"flood/{number}", 1, retained=True)
