@@ -36,6 +36,7 @@ SILENCE_BYTES = 100
 OF_ROUTER = [
     "@config/connections",
     "@set/program",
+    "@set/state",
     "catalogue",
     "clock",
     "connections",

@@ -103,7 +103,11 @@ async fn repeat(
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     for _ in 0..count {
         ticks.tick().await;
-        send(&handle, payload.clone()).await?;
+        if let Err(error) = send(&handle, payload.clone()).await {
+            // A message that is not retained was published, and leaves the program before it ends.
+            robot.close().await?;
+            return Err(error.into());
+        }
     }
     if arguments.delivery.dictionary.is_some() {
         rect_terminal::errln!(
