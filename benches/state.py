@@ -238,11 +238,11 @@ def run() -> Table:
         table.add(name, seconds(late), number(late_bytes), seconds(after), number(after_bytes), number(extra))
         print(f"  {name}", flush=True)
     table.notes = [
-        f"Medians of {ROUNDS} rounds. The values have 37 or 38 bytes. A late subscriber: until it has all values, and the "
-        f"bytes that the link carries in both directions until {AFTER_S} s later. The cut ends the connections for "
+        f"Medians of {ROUNDS} rounds. The values have 37 or 38 bytes. A late subscriber: until it has all values, and "
+        f"the bytes that the link carries in both directions until {AFTER_S} s later. The cut ends the connections for "
         f"{CUT_S:.0f} s, and {CHANGED} values change meanwhile: until they have arrived, from the end of the cut. The "
-        "pause before a client dials again is 1 s, and NetworkTables' own. RECT and zenoh-ext: two rect-routers; MQTT and "
-        "NetworkTables: the subscriber is a client over the link, connected before it subscribes.",
+        "pause before a client dials again is 1 s, and NetworkTables' own. RECT and zenoh-ext: two rect-routers; MQTT "
+        "and NetworkTables: the subscriber is a client over the link, connected before it subscribes.",
     ]
     return table
 

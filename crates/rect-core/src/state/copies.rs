@@ -247,11 +247,10 @@ impl Copies {
                 continue;
             };
             let (keys, is_new, since) = asking;
-            if !is_new {
-                copied.is_behind = false;
-            }
-            let id = id();
             let adds = is_new && copied.position.is_some_and(|Position(of, _)| of == run);
+            // Otherwise the answer contains everything.
+            copied.is_behind &= adds;
+            let id = id();
             let question = question(own, adds, since, &keys);
             copied.asking = Some(Asking {
                 id,
@@ -274,9 +273,8 @@ impl Copies {
         id: Id,
         page: &Page,
         interests: &[OwnedKeyExpr],
-        place: (&Name, &Name),
+        fleet: &Name,
     ) -> Option<Arrived> {
-        let (fleet, _) = place;
         let mut all = self.0.iter_mut();
         let is_asked = |copied: &Copied| copied.asking.as_ref().is_some_and(|one| one.id == id);
         let (robot, copied) = all.find(|(_, copied)| is_asked(copied))?;

@@ -749,8 +749,8 @@ impl StateKeeper {
                 self.copy(&robot, value.clone(), page.run, now);
             }
         }
-        let place = (&self.place.fleet, &self.place.robot);
-        let Some(arrived) = self.copies.on_page(id, &page, &interests, place) else {
+        let fleet = &self.place.fleet;
+        let Some(arrived) = self.copies.on_page(id, &page, &interests, fleet) else {
             return;
         };
         if let Some(keys) = arrived.forgotten {
