@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -253,3 +254,56 @@ def test_late_subscription_is_complete_soon(tmp_path: Path) -> None:
 def air_bytes(routers: Routers) -> int:
     """Returns the bytes that the air has carried so far, in both directions."""
     return sum(adapter["stats"]["sdu_bytes"] for adapter in routers.room.status()["adapters"])
+
+
+@contextmanager
+def chain(kind: str) -> Iterator[list[str]]:
+    """Runs the routers of three robots, of which the first and the last are linked with the second. Yields their
+    endpoints."""
+    from robots import AnyRobot, Robot, rect_settings  # type: ignore[import-not-found, unused-ignore]
+    from room import Room  # type: ignore[import-not-found, unused-ignore]
+
+    with Room("desk", has_wifi=kind == "any") as room:
+        robots: list[Any] = []
+        for number in (1, 2, 3):
+            name = f"wombat-{number}"
+            # The other kind has these settings already.
+            settings = tuple(rect_settings({"robot": name})) if kind == "ble" else ()
+            robot_kind = Robot if kind == "ble" else AnyRobot
+            robots.append(room.add_robot(name, arguments=settings, kind=robot_kind, dials=robots[-1:]))
+        yield [robot.endpoint() for robot in robots]
+
+
+@pytest.mark.parametrize("kind", ["ble", "any"])
+def test_state_crosses_a_chain_of_robots(state_routers: Routers, kind: str) -> None:
+    with chain(kind) as (first, second, third), ExitStack() as stack:
+        one = stack.enter_context(rect.connect("wombat-1", router=first))
+        base = stack.enter_context(rect.connect("wombat-2", router=second))
+        three = stack.enter_context(rect.connect("wombat-3", router=third))
+        one.publish("chain/mode", "auto", retained=True)
+        three.wait_for_peer("wombat-1", DEADLINE)
+        far = stack.enter_context(three.subscribe("*/chain/mode"))
+        near = stack.enter_context(base.subscribe("*/chain/mode"))
+        assert values(far, 1) == values(near, 1) == ["auto"]
+        for value in ("manual", "stop"):
+            one.publish("chain/mode", value, retained=True)
+            assert values(far, 1) == values(near, 1) == [value]
+        three.publish("chain/mode", "far", retained=True)
+        assert values(near, 1) == ["far"]
+        with base.subscribe("*/chain/mode") as late:
+            assert sorted(values(late, 2)) == ["far", "stop"]
+
+
+def test_fleets_in_one_hall_do_not_see_each_others_state(state_routers: Routers) -> None:
+    router = state_routers.endpoints["wombat-1"]
+    lions: dict[str, Any] = {"fleet": "lions", "router": router, "allow_name_mismatch": True}
+    with state_routers.connect("wombat-1") as one, rect.connect("wombat-1", **lions) as other:
+        one.publish("fleet/mode", "auto", retained=True)
+        with other.subscribe("*/fleet/mode") as subscriber:
+            nothing_more(subscriber)
+        assert other.latest("wombat-1", "fleet/mode") is None
+        with pytest.raises(rect.NotRetained, match="no router of this robot keeps values"):
+            other.publish("fleet/mode", "lions", retained=True)
+        latest = one.latest("wombat-1", "fleet/mode")
+        assert latest is not None
+        assert latest.value == "auto"
