@@ -379,10 +379,10 @@ impl StateKeeper {
         }
         if *tokens == 0 {
             self.programs.remove(&instance.0);
-            // Its topics count for a moment, since it may be restarted.
-            if let Some(query) = self.polls.take(instance.0, now) {
+            if let Some(query) = self.polls.on_ended(instance.0, now) {
                 self.end(query);
             }
+            self.subscribe();
             self.mark_ended(instance.0, now);
         }
     }

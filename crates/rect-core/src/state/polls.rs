@@ -21,6 +21,8 @@ pub(super) struct Poll {
     pub query: Option<QueryId>,
     pub since: Option<Position>,
     pub keys: Vec<OwnedKeyExpr>,
+    /// Whether the program runs, as far as is known.
+    is_running: bool,
     /// When the question ends without changes, or, after it has ended, when the program is regarded as ended.
     until: Instant,
 }
@@ -30,7 +32,8 @@ pub(super) struct Poll {
 pub(super) struct Polls(BTreeMap<u32, Poll>);
 
 impl Polls {
-    /// Handles the question of a program. Returns the question that it replaces, or this one if there are too many programs.
+    /// Handles the question of a program. Returns the question that it replaces, or this one if there are too many programs, and whether
+    /// the topics have changed.
     pub(super) fn add(
         &mut self,
         program: u32,
@@ -38,17 +41,21 @@ impl Polls {
         since: Option<Position>,
         keys: Vec<OwnedKeyExpr>,
         now: Instant,
-    ) -> Option<QueryId> {
-        if self.0.len() >= MAX_PROGRAMS && !self.0.contains_key(&program) {
-            return Some(query);
+    ) -> (Option<QueryId>, bool) {
+        let known = self.0.get(&program);
+        if self.0.len() >= MAX_PROGRAMS && known.is_none() {
+            return (Some(query), false);
         }
+        let has_changed = known.is_none_or(|poll| poll.keys != keys || !poll.is_running);
         let poll = Poll {
             query: Some(query),
             since,
             keys,
+            is_running: true,
             until: now + POLL,
         };
-        self.0.insert(program, poll)?.query
+        let replaced = self.0.insert(program, poll).and_then(|before| before.query);
+        (replaced, has_changed)
     }
 
     /// Returns the programs whose question is open.
@@ -64,6 +71,7 @@ impl Polls {
                 query: None,
                 since: None,
                 keys: Vec::new(),
+                is_running: true,
                 until: now + ABSENT,
             });
         }
@@ -81,6 +89,12 @@ impl Polls {
         let poll = self.0.get_mut(&program)?;
         poll.until = now + ABSENT;
         poll.query.take()
+    }
+
+    /// Handles that a program has ended. Its topics count for a moment, since it may be restarted. Returns its question.
+    pub(super) fn on_ended(&mut self, program: u32, now: Instant) -> Option<QueryId> {
+        self.0.get_mut(&program)?.is_running = false;
+        self.take(program, now)
     }
 
     /// Returns the programs whose time is up: the questions to end, and the programs that have ended.
@@ -103,14 +117,11 @@ impl Polls {
         self.0.values().map(|poll| poll.until).min()
     }
 
-    /// Returns the topics that programs subscribe to, without those that others include.
-    pub(super) fn interests(&self) -> Vec<OwnedKeyExpr> {
-        let mut all: Vec<_> = self
-            .0
-            .values()
-            .flat_map(|poll| &poll.keys)
-            .cloned()
-            .collect();
+    /// Returns the topics that programs subscribe to, without those that others include. `is_running`: those of programs that run alone.
+    pub(super) fn interests(&self, is_running: bool) -> Vec<OwnedKeyExpr> {
+        let programs = self.0.values();
+        let programs = programs.filter(|poll| poll.is_running || !is_running);
+        let mut all: Vec<_> = programs.flat_map(|poll| &poll.keys).cloned().collect();
         all.sort_by(|a, b| a.as_str().cmp(b.as_str()));
         all.dedup();
         let is_included = |key: &OwnedKeyExpr| {

@@ -31,10 +31,12 @@ impl StateKeeper {
                 keys,
             } => match checked(keys, MAX_KEYS_OF_PROGRAM) {
                 Ok(keys) => {
-                    let replaced = self.polls.add(program, query, since, keys, now);
+                    let (replaced, has_changed) = self.polls.add(program, query, since, keys, now);
                     replaced.into_iter().for_each(|query| self.end(query));
                     self.mark_program(program, false);
-                    self.on_interests();
+                    if has_changed {
+                        self.on_interests();
+                    }
                 }
                 Err(error) => self.refuse(query, error),
             },

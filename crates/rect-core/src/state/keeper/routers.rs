@@ -24,56 +24,68 @@ use crate::{
 impl StateKeeper {
     /// Handles that the programs may subscribe to other topics than before.
     pub(super) fn on_interests(&mut self) {
+        let interests = self.of_others(false);
+        if interests != self.interests {
+            self.interests = interests;
+            if !self.interests.is_empty() && !self.is_observing {
+                self.is_observing = true;
+                let key = self.place.own(None, &format!("{TOKEN}/*"));
+                self.declare(TOKENS, Declaration::LivelinessSubscriber { key });
+                let key = peers::tokens(&self.place, None);
+                self.declare(PRESENCE, Declaration::LivelinessSubscriber { key });
+            }
+            self.copies.on_interests(&self.interests);
+            self.drop_copies();
+        }
+        self.subscribe();
+    }
+
+    /// Returns the topics of other robots that programs subscribe to, or that programs which run do.
+    fn of_others(&self, is_running: bool) -> Vec<OwnedKeyExpr> {
         let KeySpace { fleet, robot } = &self.place;
         let own = format!("{fleet}/{robot}/");
         // The values of this robot are not copies.
         let is_of_others = |key: &OwnedKeyExpr| !key.as_str().starts_with(&own);
-        let interests = self.polls.interests().into_iter().filter(is_of_others);
-        let mut interests: Vec<_> = interests.collect();
-        if interests.len() > MAX_KEYS {
-            let all = OwnedKeyExpr::autocanonize(format!("{fleet}/*/**"));
-            interests = all.into_iter().collect();
+        let interests = self.polls.interests(is_running).into_iter();
+        let interests: Vec<_> = interests.filter(is_of_others).collect();
+        match interests.len() > MAX_KEYS {
+            true => {
+                let all = OwnedKeyExpr::autocanonize(format!("{fleet}/*/**"));
+                all.into_iter().collect()
+            }
+            false => interests,
         }
-        if interests == self.interests {
-            return;
-        }
-        self.interests = interests;
-        if !self.interests.is_empty() && !self.is_observing {
-            self.is_observing = true;
-            let key = self.place.own(None, &format!("{TOKEN}/*"));
-            self.declare(TOKENS, Declaration::LivelinessSubscriber { key });
-            let key = peers::tokens(&self.place, None);
-            self.declare(PRESENCE, Declaration::LivelinessSubscriber { key });
-        }
-        self.copies.on_interests(&self.interests);
-        self.drop_copies();
-        self.subscribe();
     }
 
-    /// Subscribes to the topics that programs subscribe to, of each robot that keeps values. A subscription to those of all robots would
-    /// also match the publishers of this one, which then had a subscriber.
+    /// Subscribes to the topics that running programs subscribe to, of each robot that keeps values. A subscription to those of all robots
+    /// would also match the publishers of this one, which then had a subscriber.
     pub(super) fn subscribe(&mut self) {
         let fleet = &self.place.fleet;
+        let interests = self.of_others(true);
         let robots = self.copies.keeping();
         let keys = robots.flat_map(|robot| {
-            let of_robot = self.interests.iter().filter(|key| is_of(fleet, robot, key));
-            of_robot.filter_map(|key| of(fleet, robot, key))
+            let of_robot = interests.iter().filter(|key| is_of(fleet, robot, key));
+            of_robot.filter_map(|key| Some((robot.clone(), of(fleet, robot, key)?)))
         });
-        let mut keys: Vec<_> = keys.collect();
-        keys.sort_by(|a, b| a.as_str().cmp(b.as_str()));
-        keys.dedup();
+        let keys: Vec<_> = keys.collect();
+        let is_required =
+            |(known, _): &(OwnedKeyExpr, Id)| keys.iter().any(|(_, key)| key == known);
         let (kept, removed): (Vec<_>, Vec<_>) = std::mem::take(&mut self.subscriptions)
             .into_iter()
-            .partition(|(key, _)| keys.contains(key));
+            .partition(is_required);
         self.subscriptions = kept;
         let undeclare = |(_, id)| Action::Undeclare { id };
         self.actions.extend(removed.into_iter().map(undeclare));
-        for key in keys {
+        for (robot, key) in keys {
             if !self.subscriptions.iter().any(|(known, _)| *known == key) {
                 let id = self.id();
                 let text = key.to_string();
                 self.declare(id, Declaration::Subscriber { key: text });
                 self.subscriptions.push((key, id));
+                // Values may have changed before.
+                if let Some(copied) = self.copies.get_mut(&robot) {
+                    copied.on_behind();
+                }
             }
         }
     }
