@@ -1,6 +1,8 @@
 //! Carries out what the programs of the robot ask its router.
 use std::time::{Duration, Instant};
 
+use zenoh_keyexpr::OwnedKeyExpr;
+
 use super::{Item, StateKeeper};
 use crate::{
     driver::{Action, QueryId},
@@ -42,7 +44,13 @@ impl StateKeeper {
             },
             Order::Latest { key } => match checked(vec![key], 1) {
                 Ok(keys) => {
-                    let page = self.page(None, &keys, now, false);
+                    // A copy to which no running program subscribes may be old.
+                    let subscribed = self.of_others(true);
+                    let is_current = |key: &OwnedKeyExpr| {
+                        subscribed.iter().any(|subscribed| subscribed.includes(key))
+                    };
+                    let is_own = !keys.iter().all(is_current);
+                    let page = self.page(None, &keys, now, is_own);
                     self.answer(query, OF_PROGRAMS, write(&page));
                 }
                 Err(error) => self.refuse(query, error),

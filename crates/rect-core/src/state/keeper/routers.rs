@@ -41,7 +41,7 @@ impl StateKeeper {
     }
 
     /// Returns the topics of other robots that programs subscribe to, or that programs which run do.
-    fn of_others(&self, is_running: bool) -> Vec<OwnedKeyExpr> {
+    pub(super) fn of_others(&self, is_running: bool) -> Vec<OwnedKeyExpr> {
         let KeySpace { fleet, robot } = &self.place;
         let own = format!("{fleet}/{robot}/");
         // The values of this robot are not copies.
