@@ -123,7 +123,7 @@ pub fn view(message: &rect::Message, problem: Option<&str>) -> Message {
         replayed: message.replayed,
         retained: retained.is_some(),
         has_ended: retained.is_some_and(|retained| retained.has_ended),
-        is_forgotten: retained.is_some_and(|retained| retained.is_forgotten),
+        is_forgotten: message.is_forgotten(),
         problem: Text::of_some(problem),
         method: Text::of_some(message.method.as_deref()),
     }

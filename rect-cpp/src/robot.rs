@@ -71,6 +71,18 @@ impl RobotHandle {
         let id = handle::insert(program);
         Self { id }
     }
+
+    /// Writes a handle of the same program with another robot, which `derive` returns, to `derived`.
+    pub fn derive(
+        self,
+        derived: Option<&mut MaybeUninit<Self>>,
+        derive: impl FnOnce(&rect::Robot) -> Result<rect::Robot, Failure>,
+    ) -> Result<(), Failure> {
+        require_out("derived", &derived)?;
+        let program = self.resolve()?;
+        let robot = program.derive(derive(&program.robot)?);
+        write_out("derived", derived, Self::of(robot))
+    }
 }
 
 /// Returns the version of the library, e.g. `0.1.0`. May be called on any thread.
@@ -137,10 +149,9 @@ pub extern "C" fn rect_robot_with_urgency(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        require_out("derived", &derived)?;
-        let (program, urgency) = (robot.resolve()?, choice("urgency", &URGENCIES, urgency)?);
-        let robot = program.derive(program.robot.with_urgency(urgency));
-        write_out("derived", derived, RobotHandle::of(robot))
+        robot.derive(derived, |robot| {
+            Ok(robot.with_urgency(choice("urgency", &URGENCIES, urgency)?))
+        })
     })
 }
 
@@ -158,11 +169,8 @@ pub extern "C" fn rect_robot_expires_after(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        require_out("derived", &derived)?;
-        let program = robot.resolve()?;
         let lifetime = Duration::from_millis(lifetime_ms.into());
-        let robot = program.derive(program.robot.expires_after(lifetime));
-        write_out("derived", derived, RobotHandle::of(robot))
+        robot.derive(derived, |robot| Ok(robot.expires_after(lifetime)))
     })
 }
 
@@ -183,10 +191,7 @@ pub extern "C" fn rect_robot_retrying(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        require_out("derived", &derived)?;
-        let program = robot.resolve()?;
-        let robot = program.derive(program.robot.retrying());
-        write_out("derived", derived, RobotHandle::of(robot))
+        robot.derive(derived, |robot| Ok(robot.retrying()))
     })
 }
 
@@ -203,12 +208,11 @@ pub unsafe extern "C" fn rect_robot_with_codec(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        require_out("derived", &derived)?;
-        // SAFETY: the caller follows the rules of rect.h.
-        let codec = unsafe { text("codec", codec) }?;
-        let program = robot.resolve()?;
-        let robot = program.derive(program.robot.with_codec(codec::parse(codec)?));
-        write_out("derived", derived, RobotHandle::of(robot))
+        robot.derive(derived, |robot| {
+            // SAFETY: the caller follows the rules of rect.h.
+            let codec = unsafe { text("codec", codec) }?;
+            Ok(robot.with_codec(codec::parse(codec)?))
+        })
     })
 }
 
@@ -225,10 +229,9 @@ pub extern "C" fn rect_robot_with_dictionary(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        require_out("derived", &derived)?;
-        let (program, dictionary) = (robot.resolve()?, dictionary::resolve(dictionary)?);
-        let robot = program.derive(program.robot.with_dictionary(dictionary)?);
-        write_out("derived", derived, RobotHandle::of(robot))
+        robot.derive(derived, |robot| {
+            Ok(robot.with_dictionary(dictionary::resolve(dictionary)?)?)
+        })
     })
 }
 

@@ -26,10 +26,7 @@ pub extern "C" fn rect_robot_retained(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        require_out("derived", &derived)?;
-        let program = robot.resolve()?;
-        let robot = program.derive(program.robot.retained());
-        write_out("derived", derived, RobotHandle::of(robot))
+        robot.derive(derived, |robot| Ok(robot.retained()))
     })
 }
 
@@ -44,10 +41,7 @@ pub extern "C" fn rect_robot_retained_on_disk(
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
     call(error, || {
-        require_out("derived", &derived)?;
-        let program = robot.resolve()?;
-        let robot = program.derive(program.robot.retained_on_disk());
-        write_out("derived", derived, RobotHandle::of(robot))
+        robot.derive(derived, |robot| Ok(robot.retained_on_disk()))
     })
 }
 

@@ -2,14 +2,18 @@
 //! request to a queue without running Python code.
 use std::time::Instant;
 
-use pyo3::{intern, prelude::*, types::PyBytes};
+use pyo3::{
+    intern,
+    prelude::*,
+    types::{PyBytes, PyString},
+};
 use rect_core::{catalogue::Instance, message::Undelivered, session::service::ServiceQuery};
 
 use crate::{
     connection::Links,
     counters::AtomicCounters,
     driver::{bytes_of, is_delete},
-    message::Inbound,
+    message::{Inbound, MessageMetadata},
     queue::Queue,
     retry::Once,
 };
@@ -105,8 +109,27 @@ impl OnMessage {
         };
         let payload = bytes_of(&sample.getattr(intern!(py, "payload"))?)?;
         let encoding = sample.getattr(intern!(py, "encoding"))?.str()?;
+        self.push(py, metadata, &payload, &encoding)
+    }
+}
+
+impl OnMessage {
+    /// Returns the state of the subscription.
+    pub fn inbound(&self) -> &Inbound {
+        self.inbound.get()
+    }
+
+    /// Counts a message, and appends it to the queue.
+    pub fn push(
+        &self,
+        py: Python<'_>,
+        metadata: MessageMetadata,
+        payload: &Bound<'_, PyAny>,
+        encoding: &Bound<'_, PyString>,
+    ) -> PyResult<()> {
         let links = self.links.as_ref();
         let method = links.and_then(|links| links.get().method_of(metadata.sender_name()));
+        let counters = &self.counters.get().0;
         counters.on_received(payload.len()?, metadata.missed());
         let item = (metadata, payload, encoding, method).into_pyobject(py)?;
         self.queue.get().push(py, item.into_any().unbind())?;

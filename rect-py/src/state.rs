@@ -1,32 +1,35 @@
 //! Exposes retained messages: those that a program publishes and receives, and the state of a program without a router.
 use std::{
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{Arc, Mutex},
     time::SystemTime,
 };
 
-use pyo3::{prelude::*, pybacked::PyBackedBytes, IntoPyObjectExt};
+use pyo3::{
+    prelude::*,
+    pybacked::PyBackedBytes,
+    types::{PyBytes, PyString},
+    IntoPyObjectExt,
+};
 use rect_core::{
     clock::unix::ms_since_1970,
     message::retained::{value::Value, Arrival},
     name::topic::Topic,
     state::{
-        keeper::{Disk, Item, StateKeeper},
+        keeper::{Item, StateKeeper},
         latest::Latest,
         page::{self, Order},
         program,
-        retain::{Outcome, Retain},
+        retain::{Outcome, Retain, NO_KEEPER},
     },
 };
 
 use crate::{
+    callback::OnMessage,
     clock::Clock,
     codec::{parts, payload, Parts},
-    connection::Links,
-    counters::AtomicCounters,
     driver::{lock, seconds, Driver, ToPython},
     key_space::{name, topic, KeySpace},
     message::{Inbound, MessageMetadata},
-    queue::Queue,
     urgency,
 };
 
@@ -35,15 +38,8 @@ use crate::{
 pub struct ProgramState {
     core: Arc<Mutex<program::ProgramState>>,
     clock: Clock,
-    receivers: Mutex<Vec<(u64, Arc<Receiver>)>>,
-}
-
-/// The part of a subscription that retained messages go through.
-struct Receiver {
-    queue: Py<Queue>,
-    inbound: Py<Inbound>,
-    counters: Py<AtomicCounters>,
-    links: Option<Py<Links>>,
+    /// The callbacks of the subscriptions, which also take messages from the router.
+    receivers: Mutex<Vec<(u64, Arc<Py<OnMessage>>)>>,
 }
 
 /// Something from the router, for the subscriptions.
@@ -93,25 +89,13 @@ impl ProgramState {
         Driver::shared(&self.core, &self.clock)
     }
 
-    /// Adds a subscription, and returns its number. Then poll the driver.
-    fn subscribe(
-        &self,
-        queue: Py<Queue>,
-        inbound: Py<Inbound>,
-        counters: Py<AtomicCounters>,
-        links: Option<Py<Links>>,
-    ) -> u64 {
-        let keys = inbound.get().keys_of_all();
+    /// Adds the subscription of a callback, and returns its number. Then poll the driver.
+    fn subscribe(&self, on_message: Py<OnMessage>) -> u64 {
+        let keys = on_message.get().inbound().keys_of_all();
         // Values that arrive meanwhile wait for the receiver.
-        let mut receivers = self.receivers();
+        let mut receivers = lock(&self.receivers);
         let number = lock(&self.core).subscribe(&keys, self.clock.now());
-        let receiver = Receiver {
-            queue,
-            inbound,
-            counters,
-            links,
-        };
-        receivers.push((number, Arc::new(receiver)));
+        receivers.push((number, Arc::new(on_message)));
         number
     }
 
@@ -122,24 +106,21 @@ impl ProgramState {
 
     /// Removes a subscription.
     fn unsubscribe(&self, number: u64) {
-        self.receivers().retain(|(known, _)| *known != number);
+        lock(&self.receivers).retain(|(known, _)| *known != number);
         lock(&self.core).unsubscribe(number, self.clock.now());
     }
 
     /// Delivers something from the router to all subscriptions that select it.
     fn deliver(&self, py: Python<'_>, arrival: &StateArrival) -> PyResult<()> {
         // A queue without room blocks, and the program may end a subscription meanwhile.
-        let receivers = self.receivers().clone();
+        let receivers = lock(&self.receivers).clone();
         for (_, receiver) in receivers {
-            for message in receiver.inbound.get().on_retained(&arrival.0) {
-                let links = receiver.links.as_ref();
-                let method = links.and_then(|links| links.get().method_of(&message.sender));
-                let (bytes, encoding) = parts(py, &message.payload);
-                let counters = &receiver.counters.get().0;
-                counters.on_received(message.payload.bytes.len(), 0);
+            let receiver = receiver.get();
+            for message in receiver.inbound().on_retained(&arrival.0) {
+                let bytes = PyBytes::new(py, &message.payload.bytes);
+                let encoding = PyString::new(py, message.payload.encoding.as_str());
                 let metadata = MessageMetadata::of(message);
-                let item = (metadata, bytes, encoding, method).into_pyobject(py)?;
-                receiver.queue.get().push(py, item.into_any().unbind())?;
+                receiver.push(py, metadata, &bytes, &encoding)?;
             }
         }
         Ok(())
@@ -175,14 +156,6 @@ impl ProgramState {
     }
 }
 
-impl ProgramState {
-    fn receivers(&self) -> MutexGuard<'_, Vec<(u64, Arc<Receiver>)>> {
-        self.receivers
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
 #[pymethods]
 impl StateOrder {
     /// Creates the driver that gives the order to the router.
@@ -215,9 +188,7 @@ pub fn latest(key_space: &KeySpace, robot: &str, topic: &str, timeout_s: f64) ->
 #[pyfunction]
 pub fn state_keeper(key_space: &KeySpace, run: u32) -> Driver {
     let clock = Clock::new();
-    let disk = Disk::None("a program without a router keeps no values on disk".to_owned());
-    let now = clock.created_at();
-    let keeper = StateKeeper::new(key_space.0.clone(), run, disk, Box::new(|_| false), now);
+    let keeper = StateKeeper::of_program(key_space.0.clone(), run, clock.created_at());
     Driver::new(keeper, &clock)
 }
 
@@ -252,7 +223,7 @@ impl ToPython for Outcome {
         match self {
             Self::Kept(kept) => ("kept", KeptValue(kept)).into_py_any(py),
             Self::Refused(reason) => ("refused", reason).into_py_any(py),
-            Self::NoKeeper => ("no_keeper", py.None()).into_py_any(py),
+            Self::NoKeeper => ("no_keeper", NO_KEEPER).into_py_any(py),
             Self::Closed => ("closed", py.None()).into_py_any(py),
         }
     }

@@ -25,6 +25,7 @@ use rect_connections::{
 use serde::Serialize;
 use zenoh_link_placeholder::Placeholders;
 
+pub(crate) use self::store::Store;
 pub use self::{
     connection::{link, LastError, LinkEnds, Snapshot},
     edit::{Edit, EditError},
@@ -33,7 +34,7 @@ pub use self::{
 };
 use self::{
     connection::{ConnectionDialler, NamedConnection},
-    store::{revision, Store},
+    store::revision,
 };
 use crate::config::Settings;
 
@@ -173,7 +174,7 @@ impl Connections {
         }
         let text = edit.applied(|| store.read(), &self.limits)?;
         let contents = file::parse(&text, &self.limits)?;
-        store.replace(&text)?;
+        store.replace(text.as_bytes())?;
         let changes = self.difference(&self.rule_of(&contents), &contents.connections);
         answer(&changes, &revision(&text));
         if changes.closes_links() {

@@ -1,18 +1,18 @@
 //! Keeps the values that the programs of the robot retain, and their file.
 use std::{
-    fs::{self, File},
-    io::{self, Write},
+    io,
     path::{Path, PathBuf},
 };
 
 use rect::{KeptState, Save};
+use rect_connections::regular_file;
 use rect_core::{
     name::key::KeySpace,
     state::keeper::{Disk, IsServed},
 };
 use zenoh::Session;
 
-use crate::config::Settings;
+use crate::{config::Settings, connections::Store};
 
 /// The name of the file, in the folder of the connections file, unless the settings name another one.
 const FILE: &str = "retained.cbor";
@@ -42,8 +42,10 @@ pub fn serve(
                     path.display()
                 );
             }
+            let store = Store::new(&path);
             let save = move |bytes: &[u8]| {
-                replace(&path, bytes).map_err(|error| format!("{}: {error}", path.display()))
+                let replaced = store.replace(bytes);
+                replaced.map_err(|error| format!("{}: {error}", path.display()))
             };
             (Disk::Saved(saved.unwrap_or_default()), Box::new(save))
         }
@@ -59,24 +61,8 @@ fn path(settings: &Settings) -> Option<PathBuf> {
 
 /// Returns the bytes of the file; `None` if there is none.
 fn read(path: &Path) -> io::Result<Option<Vec<u8>>> {
-    let size = match fs::metadata(path) {
-        Ok(metadata) => metadata.len(),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-        Err(error) => return Err(error),
-    };
-    if size > MAX_BYTES {
-        let problem = format!("it has {size} bytes, and at most {MAX_BYTES} are read");
-        return Err(io::Error::new(io::ErrorKind::InvalidData, problem));
+    match regular_file::read(path, MAX_BYTES) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        read => read.map(Some),
     }
-    fs::read(path).map(Some)
-}
-
-/// Replaces the file, which has either the bytes before or these at any time.
-fn replace(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let folder = path.parent().unwrap_or(Path::new("."));
-    let mut new = tempfile::NamedTempFile::new_in(folder)?;
-    new.write_all(bytes)?;
-    new.as_file().sync_all()?;
-    new.persist(path).map_err(|error| error.error)?;
-    File::open(folder)?.sync_all()
 }

@@ -35,10 +35,15 @@ pub fn words(retained: &Retained) -> String {
     if retained.age > SHOWN_FROM {
         words += &format!(", {}", age(retained));
     }
-    if retained.has_ended {
-        words += ", its program has ended";
+    words + ended(retained)
+}
+
+/// Returns the end of a description: whether the program has ended.
+pub fn ended(retained: &Retained) -> &'static str {
+    match retained.has_ended {
+        true => ", its program has ended",
+        false => "",
     }
-    words
 }
 
 /// Returns the age of a value: `3 s ago`.

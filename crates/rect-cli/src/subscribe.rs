@@ -81,10 +81,7 @@ fn as_text(message: &Message) -> String {
         let missed = format!(" ({} missed before this one)", message.missed);
         text += &paint(Style::Poor, &missed);
     }
-    if message
-        .retained
-        .is_some_and(|retained| retained.is_forgotten)
-    {
+    if message.is_forgotten() {
         return text;
     }
     if let Some(problem) = message.problem() {
@@ -96,9 +93,7 @@ fn as_text(message: &Message) -> String {
 
 /// Returns a message as JSON. The value and the problem of a topic that was forgotten are `null`.
 pub fn as_json(message: &Message) -> serde_json::Value {
-    let is_forgotten = message
-        .retained
-        .is_some_and(|retained| retained.is_forgotten);
+    let is_forgotten = message.is_forgotten();
     let value = (!is_forgotten).then(|| display::json(&message.payload));
     let problem = message.problem().filter(|_| !is_forgotten);
     json!({

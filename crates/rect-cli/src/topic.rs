@@ -185,11 +185,8 @@ async fn get(robot: &Robot, topic: &RobotTopic, json: bool) -> Result<(), Failur
         &format!("{}/{}", topic.robot, line(topic.topic.as_str())),
     );
     if let Some(retained) = &message.retained {
-        let ended = match retained.has_ended {
-            true => ", its program has ended",
-            false => "",
-        };
-        text += &format!(" ({}{ended})", retained::age(retained));
+        let (age, ended) = (retained::age(retained), retained::ended(retained));
+        text += &format!(" ({age}{ended})");
     }
     if let Some(problem) = message.problem() {
         let problem = format!(" (not decoded: {})", line(&problem.to_string()));

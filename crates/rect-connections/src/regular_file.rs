@@ -32,11 +32,27 @@ pub fn open(path: &Path) -> io::Result<File> {
 pub fn read_to_string(path: &Path, max_bytes: u64) -> io::Result<String> {
     let mut text = String::new();
     let read = open(path)?.take(max_bytes + 1).read_to_string(&mut text)?;
+    check_size(read, max_bytes)?;
+    Ok(text)
+}
+
+/// Reads a file of at most `max_bytes`.
+///
+/// # Errors
+/// Fails if the file is not a regular file, cannot be read, or is larger than `max_bytes`.
+pub fn read(path: &Path, max_bytes: u64) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let read = open(path)?.take(max_bytes + 1).read_to_end(&mut bytes)?;
+    check_size(read, max_bytes)?;
+    Ok(bytes)
+}
+
+fn check_size(read: usize, max_bytes: u64) -> io::Result<()> {
     if read as u64 > max_bytes {
         let problem = format!("it is larger than {max_bytes} bytes");
         return Err(io::Error::new(io::ErrorKind::InvalidData, problem));
     }
-    Ok(text)
+    Ok(())
 }
 
 #[cfg(test)]

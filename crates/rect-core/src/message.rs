@@ -5,6 +5,7 @@ pub mod counters;
 pub mod encoding;
 pub mod expiry;
 pub mod gaps;
+mod leb128;
 pub mod mismatch;
 pub mod payload;
 pub mod problems;
@@ -122,6 +123,11 @@ impl<T> Message<T> {
     /// Returns why the message has no value, if it has none.
     pub fn problem(&self) -> Option<&PayloadError> {
         self.value.as_ref().err()
+    }
+
+    /// Returns whether the robot has forgotten the retained topic, so that the message has no value.
+    pub fn is_forgotten(&self) -> bool {
+        self.retained.is_some_and(|retained| retained.is_forgotten)
     }
 
     /// Returns whether the message has expired at that time.

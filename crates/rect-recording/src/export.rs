@@ -4,7 +4,7 @@ use std::io::{self, Write};
 use rect_core::codec::Limits;
 use serde_json::{json, Value};
 
-use crate::{entry::Entry, entry::RetainedKind};
+use crate::entry::{Entry, RetainedKind};
 
 /// The form of an export.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -80,7 +80,7 @@ class Retaining(Protocol):
         """Lets a subscription get retained messages through the router alone."""
         ...
 
-    def receive(self, queue: ReceiveQueue[Any], inbound: _rect.Inbound) -> Any:
+    def receive(self, on_message: _rect.OnMessage) -> Any:
         """Delivers the retained messages of a subscription to its queue."""
         ...
 

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import random
 import threading
-from typing import TYPE_CHECKING, Any, Literal, Union
+from typing import TYPE_CHECKING, Literal, Union
 
 from rect import _rect
 from rect.errors import NotRetained, OptionError
 from rect.executor import Executor
-from rect.receive_queue import ReceiveQueue
 from rect.values import Payload
 
 if TYPE_CHECKING:
@@ -56,11 +55,10 @@ class State:
         """Lets a subscription get retained messages through the router alone, if it can."""
         self._core.follow(inbound)
 
-    def receive(self, queue: ReceiveQueue[Any], inbound: _rect.Inbound) -> Reception:
+    def receive(self, on_message: _rect.OnMessage) -> Reception:
         """Delivers the retained messages of a subscription to its queue."""
         running = self._running()
-        session = self._session
-        number = self._core.subscribe(queue.queue, inbound, session.counters, session.links)
+        number = self._core.subscribe(on_message)
         running.wake()
         return Reception(self._core, running, number)
 
@@ -71,31 +69,33 @@ class State:
         """
         self._session.warn(self._session.used_names.on_topic(topic))
         order = self._core.set(topic, payload.bytes, payload.encoding, urgency, disk)
-        if not self._give(topic, order):
+        no_keeper = self._give(topic, order)
+        if no_keeper is not None:
             self._session.publish(topic, None, payload, urgency, None)
-            raise NotRetained(topic, _NO_KEEPER)
+            raise NotRetained(topic, no_keeper)
         self._session.counters.on_sent(len(payload.bytes))
 
     def forget(self, topic: str) -> None:
         """Forgets a topic. Raises `NotRetained`, `InvalidTopicError` and `Closed`."""
-        if not self._give(topic, self._core.forget(topic)):
-            raise NotRetained(topic, _NO_KEEPER)
+        no_keeper = self._give(topic, self._core.forget(topic))
+        if no_keeper is not None:
+            raise NotRetained(topic, no_keeper)
 
-    def _give(self, topic: str, order: _rect.StateOrder) -> bool:
-        """Gives an order to the router. Returns `False` if there is none that keeps values."""
+    def _give(self, topic: str, order: _rect.StateOrder) -> str | None:
+        """Gives an order to the router. Returns the problem if there is none that keeps values."""
         running = self._running()
         outcome, detail = Executor(self._session, order.driver(self._session.key_space)).run()
         if outcome == "refused":
             raise NotRetained(topic, detail)
         if outcome == "no_keeper":
-            return False
+            return str(detail)
         self._session.check()
         if detail.warning is not None and detail.warning != self._last_warning:
             self._session.warn(detail.warning)
             self._last_warning = detail.warning
         self._core.on_kept(order, detail)
         running.wake()
-        return True
+        return None
 
     def latest(self, robot: str, topic: str) -> tuple[_rect.MessageMetadata, Payload] | None:
         """Returns the last value of a topic, if there is one.
@@ -123,6 +123,3 @@ class Reception:
         """Ends it."""
         self._core.unsubscribe(self._number)
         self._running.wake()
-
-
-_NO_KEEPER = "no router of this robot keeps values. Start rect-router, or a later version of it"

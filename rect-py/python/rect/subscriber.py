@@ -71,8 +71,12 @@ class Subscriber(Generic[T]):
         self._inbound = inbound
         self._declared = Declared(session, self._queue)
         session.state.follow(inbound)
-        for subscription, key in enumerate(inbound.keys()):
-            on_message = _rect.OnMessage(self._queue.queue, inbound, session.counters, session.links, subscription)
+        keys = inbound.keys()
+        callbacks = [
+            _rect.OnMessage(self._queue.queue, inbound, session.counters, session.links, subscription)
+            for subscription in range(len(keys))
+        ]
+        for key, on_message in zip(keys, callbacks):
             try:
                 with session.calls:
                     self._declared.add(session.zenoh.declare_subscriber(key, direct(on_message)))
@@ -80,7 +84,7 @@ class Subscriber(Generic[T]):
                 self._declared.end()
                 raise zenoh_error("cannot declare the subscriber", error) from error
         # The subscriptions precede it, so that no change is missed between them.
-        self._declared.add(session.state.receive(self._queue, inbound))
+        self._declared.add(session.state.receive(callbacks[0]))
         self._declared.leave_with(self)
 
     def next(self, timeout: float | None = None) -> Message[T]:

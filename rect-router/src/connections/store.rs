@@ -99,19 +99,19 @@ impl Store {
         })
     }
 
-    /// Replaces the text of the file.
+    /// Replaces the text of the file, or its bytes.
     ///
     /// # Errors
     /// Fails if the file is not a regular file or cannot be written. The file has its old text then, unless only the last step
     /// failed, which makes the replacement durable.
-    pub fn replace(&self, text: &str) -> io::Result<()> {
-        self.replace_in_steps(text, |_| Ok(()))
+    pub fn replace(&self, text: impl AsRef<[u8]>) -> io::Result<()> {
+        self.replace_in_steps(text.as_ref(), |_| Ok(()))
     }
 
     /// Replaces the text. Calls `after` after each step; if it returns an error, the replacement stops there.
     fn replace_in_steps(
         &self,
-        text: &str,
+        text: &[u8],
         mut after: impl FnMut(Step) -> io::Result<()>,
     ) -> io::Result<()> {
         let Target {
@@ -131,7 +131,7 @@ impl Store {
             new.as_file().set_permissions(before.permissions())?;
         }
         after(Step::Created)?;
-        new.write_all(text.as_bytes())?;
+        new.write_all(text)?;
         after(Step::Written)?;
         new.as_file().sync_all()?;
         after(Step::OnDisk)?;
@@ -174,7 +174,7 @@ mod tests {
             let store = Store::new(&folder.path().join("connections.json"));
             assert_eq!(store.read().expect("nothing yet"), "");
             store.replace("old").expect("written");
-            let result = store.replace_in_steps("new", |step| match step == interrupted_after {
+            let result = store.replace_in_steps(b"new", |step| match step == interrupted_after {
                 true => Err(io::Error::other("power failure")),
                 false => Ok(()),
             });

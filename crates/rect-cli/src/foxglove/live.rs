@@ -138,10 +138,7 @@ impl Live {
 async fn receive(subscriber: Subscriber, shown: Arc<Mutex<Shown>>) {
     while let Some(message) = subscriber.next().await {
         // It has no value, and viewers have nothing to show for that.
-        if message
-            .retained
-            .is_some_and(|retained| retained.is_forgotten)
-        {
+        if message.is_forgotten() {
             continue;
         }
         lock(&shown).show(&Entry::of(message, since_1970(SystemTime::now())));

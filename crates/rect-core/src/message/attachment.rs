@@ -14,6 +14,8 @@ use std::{
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
+use super::leb128;
+
 const MARK: u8 = 0xF8;
 const TIME: u8 = 1;
 const SHORT_TIME: u8 = 2;
@@ -82,7 +84,7 @@ impl Attachment {
         let lifetime = self.lifetime_ms.map_or(0, |_| LIFETIME);
         bytes.push(MARK | time | lifetime);
         bytes.extend(self.source.to_le_bytes());
-        write_leb128(self.sequence, &mut bytes);
+        leb128::write(self.sequence.into(), |byte| bytes.push(byte));
         match self.sent {
             Sent::Unknown => {}
             Sent::At(at_ms) | Sent::Replayed(at_ms) => {
@@ -92,7 +94,7 @@ impl Attachment {
             Sent::Low(low) => bytes.extend(low.to_le_bytes()),
         }
         if let Some(lifetime_ms) = self.lifetime_ms {
-            write_leb128(lifetime_ms, &mut bytes);
+            leb128::write(lifetime_ms.into(), |byte| bytes.push(byte));
         }
         bytes
     }
@@ -102,7 +104,7 @@ impl Attachment {
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let (&flags, rest) = bytes.split_first()?;
         let (source, rest) = rest.split_first_chunk()?;
-        let (sequence, rest) = read_leb128(rest)?;
+        let (sequence, rest) = read_number(rest)?;
         let flags = flags ^ MARK;
         let (sent, rest) = match flags & !LIFETIME {
             0 => (Sent::Unknown, rest),
@@ -125,7 +127,7 @@ impl Attachment {
         };
         let (lifetime_ms, rest) = match flags & LIFETIME {
             0 => (None, rest),
-            _ => read_leb128(rest).map(|(lifetime_ms, rest)| (Some(lifetime_ms), rest))?,
+            _ => read_number(rest).map(|(lifetime_ms, rest)| (Some(lifetime_ms), rest))?,
         };
         rest.is_empty().then_some(Self {
             source: u16::from_le_bytes(*source),
@@ -157,27 +159,10 @@ impl Deref for Encoded {
     }
 }
 
-fn write_leb128(number: u32, to: &mut Encoded) {
-    let mut rest = number;
-    while rest >= 0x80 {
-        to.push(rest as u8 | 0x80);
-        rest >>= 7;
-    }
-    to.push(rest as u8);
-}
-
-/// Returns the number at the beginning of the bytes, and the bytes after it.
-fn read_leb128(mut bytes: &[u8]) -> Option<(u32, &[u8])> {
-    let mut number = 0u64;
-    for shift in (0..35).step_by(7) {
-        let (&byte, after) = bytes.split_first()?;
-        bytes = after;
-        number |= u64::from(byte & 0x7f) << shift;
-        if byte & 0x80 == 0 {
-            return Some((u32::try_from(number).ok()?, bytes));
-        }
-    }
-    None
+/// Returns the number of 32 bits at the beginning of the bytes, and the bytes after it.
+fn read_number(bytes: &[u8]) -> Option<(u32, &[u8])> {
+    let (number, rest) = leb128::read(bytes, 5)?;
+    Some((u32::try_from(number).ok()?, rest))
 }
 
 #[cfg(test)]

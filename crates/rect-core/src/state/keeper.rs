@@ -26,7 +26,7 @@ use crate::{
         Action, Answer, Declaration, Driver, Event, Id, QueryId, Reaction, RetainedReply, Sample,
         Step,
     },
-    message::{encoding::Encoding, payload::Payload, request::RequestHeader, retained::live::Live},
+    message::{encoding::Encoding, payload::Payload, request::RequestHeader},
     name::{key::KeySpace, topic::Topic, Name},
     registry::topics::RetainedTopic,
 };
@@ -44,7 +44,7 @@ const TOKEN_ID: Id = Id(4);
 const TOKENS: Id = Id(5);
 const PRESENCE: Id = Id(6);
 const PROGRAMS: Id = Id(7);
-/// The id of the first question or subscription; the next ones follow.
+/// The ids of questions and subscriptions follow this one.
 const FIRST: u64 = 16;
 
 /// Something for the one who runs the driver.
@@ -82,7 +82,8 @@ pub struct StateKeeper {
     is_observing: bool,
     is_open: bool,
     is_announced: bool,
-    next: u64,
+    /// The last id of a question or a subscription.
+    last_id: u64,
     actions: VecDeque<Action>,
     items: VecDeque<Item>,
     is_warned: bool,
@@ -134,7 +135,7 @@ impl StateKeeper {
             is_observing: false,
             is_open: false,
             is_announced: false,
-            next: FIRST,
+            last_id: FIRST,
             actions: declared.into(),
             items: VecDeque::new(),
             is_warned: false,
@@ -148,6 +149,12 @@ impl StateKeeper {
             Disk::Saved(None) => {}
         }
         keeper
+    }
+
+    /// Creates the state of the robot of a program that has no router.
+    pub fn of_program(place: KeySpace, run: u32, now: Instant) -> Self {
+        let disk = Disk::None("a program without a router keeps no values on disk".to_owned());
+        Self::new(place, run, disk, Box::new(|_| false), now)
     }
 
     /// Returns whether a topic of this robot has a value, so that no program can serve it.
@@ -227,8 +234,7 @@ impl StateKeeper {
     }
 
     fn id(&mut self) -> Id {
-        self.next += 1;
-        Id(self.next)
+        next_id(&mut self.last_id)
     }
 
     fn declare(&mut self, id: Id, declaration: Declaration) {
@@ -352,16 +358,10 @@ impl StateKeeper {
         let fleet = &self.place.fleet;
         let selected = own.filter(|(key, _)| !is_request && is_selected(fleet, &keys, key));
         let replies = selected.filter_map(|(key, entry)| {
-            let live = Live {
-                position: Position(self.run, entry.number),
-                origin: entry.origin,
-                sent_ms: entry.sent_ms,
-                urgency: entry.urgency,
-            };
             Some(RetainedReply {
                 key: zenoh_key(fleet, key),
                 payload: entry.payload.clone()?,
-                attachment: live.encode(),
+                attachment: entry.attachment(self.run),
                 number: entry.number as u32,
             })
         });
@@ -481,6 +481,12 @@ impl StateKeeper {
         ];
         times.into_iter().flatten().min()
     }
+}
+
+/// Returns an id that was not used yet.
+fn next_id(last: &mut u64) -> Id {
+    *last += 1;
+    Id(*last)
 }
 
 impl Driver for StateKeeper {

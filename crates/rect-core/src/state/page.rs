@@ -58,26 +58,7 @@ pub enum Question {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Order {
     /// Keep a value, and publish it.
-    Set {
-        /// The topic.
-        topic: String,
-        /// The identity of the value.
-        origin: Origin,
-        /// When it was published, in milliseconds since 1970.
-        sent_ms: u64,
-        /// Its position at an earlier run of the router, if that had it. Then it is not published again.
-        kept: Option<Position>,
-        /// How many milliseconds ago it was published.
-        age_ms: u64,
-        /// The urgency of the message.
-        urgency: Urgency,
-        /// Whether to keep it on disk.
-        disk: bool,
-        /// The encoding of the value.
-        encoding: String,
-        /// The value.
-        bytes: Bytes,
-    },
+    Set(NewValue),
     /// Forget a topic.
     Forget {
         /// The topic.
@@ -101,6 +82,29 @@ pub enum Order {
         /// The key expression of the topics.
         key: String,
     },
+}
+
+/// A value that a program gives to its router.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct NewValue {
+    /// The topic.
+    pub topic: String,
+    /// The identity of the value.
+    pub origin: Origin,
+    /// When it was published, in milliseconds since 1970.
+    pub sent_ms: u64,
+    /// Its position at an earlier run of the router, if that had it. Then it is not published again.
+    pub kept: Option<Position>,
+    /// How many milliseconds ago it was published.
+    pub age_ms: u64,
+    /// The urgency of the message.
+    pub urgency: Urgency,
+    /// Whether to keep it on disk.
+    pub disk: bool,
+    /// The encoding of the value.
+    pub encoding: String,
+    /// The value.
+    pub bytes: Bytes,
 }
 
 /// The answer to [`Order::Set`] and [`Order::Forget`].

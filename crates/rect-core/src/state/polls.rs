@@ -117,7 +117,8 @@ impl Polls {
         self.0.values().map(|poll| poll.until).min()
     }
 
-    /// Returns the topics that programs subscribe to, without those that others include. `is_running`: those of programs that run alone.
+    /// Returns the topics that programs subscribe to, without those that others include. `is_running`: without those of programs
+    /// that have ended.
     pub(super) fn interests(&self, is_running: bool) -> Vec<OwnedKeyExpr> {
         let programs = self.0.values();
         let programs = programs.filter(|poll| poll.is_running || !is_running);

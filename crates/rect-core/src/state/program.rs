@@ -8,13 +8,12 @@ use std::{
 use zenoh_keyexpr::OwnedKeyExpr;
 
 use super::{
-    page::{read, write, Kept, Order, Page},
+    page::{read, write, Kept, NewValue, Order, Page},
     Origin, Position, OF_PROGRAMS,
 };
 use crate::{
     driver::{Action, Declaration, Driver, Event, Get, Id, Reaction, Step},
     message::{
-        encoding::Encoding,
         payload::Payload,
         retained::{value::Value, Arrival, Following},
         urgency::Urgency,
@@ -41,15 +40,10 @@ const MAX_OWN: usize = 32;
 const FIRST: u64 = 1;
 const LINKS: Id = Id(0);
 
-/// A value that this program has published.
+/// A value that this program has published, which the router keeps.
 #[derive(Debug)]
 struct Own {
-    origin: Origin,
-    kept: Option<Position>,
-    payload: Payload,
-    urgency: Urgency,
-    disk: bool,
-    sent_ms: u64,
+    value: NewValue,
     since: Instant,
 }
 
@@ -150,7 +144,7 @@ impl ProgramState {
         disk: bool,
         sent_ms: u64,
     ) -> Order {
-        Order::Set {
+        Order::Set(NewValue {
             topic: topic.to_string(),
             origin: self.next_origin(),
             sent_ms,
@@ -160,7 +154,7 @@ impl ProgramState {
             disk,
             encoding: payload.encoding.as_str().to_owned(),
             bytes: payload.bytes,
-        }
+        })
     }
 
     /// Returns the order to forget a topic.
@@ -175,24 +169,12 @@ impl ProgramState {
     /// Handles that the router keeps a value of the program, or has forgotten it.
     pub fn on_kept(&mut self, topic: Topic, order: &Order, kept: Kept, now: Instant) {
         match order {
-            Order::Set {
-                origin,
-                sent_ms,
-                urgency,
-                disk,
-                encoding,
-                bytes,
-                ..
-            } => {
-                let own = Own {
-                    origin: *origin,
+            Order::Set(value) => {
+                let value = NewValue {
                     kept: Some(kept.at),
-                    payload: Payload::new(bytes.clone(), Encoding::new(encoding.clone())),
-                    urgency: *urgency,
-                    disk: *disk,
-                    sent_ms: *sent_ms,
-                    since: now,
+                    ..value.clone()
                 };
+                let own = Own { value, since: now };
                 if self.own.insert(topic, own).is_none() {
                     // Another program may publish the topic, too.
                     self.ask_at.get_or_insert(now + TOGETHER);
@@ -204,12 +186,9 @@ impl ProgramState {
         }
     }
 
-    fn keys(&self) -> Vec<OwnedKeyExpr> {
-        self.subscriptions.values().flatten().cloned().collect()
-    }
-
     fn question(&self) -> Order {
-        let mut keys: Vec<_> = self.keys().iter().map(ToString::to_string).collect();
+        let subscribed = self.subscriptions.values().flatten();
+        let mut keys: Vec<_> = subscribed.map(ToString::to_string).collect();
         match self.own.len() > MAX_OWN {
             true => keys.push(self.place.services()),
             false => keys.extend(self.own.keys().map(|topic| self.place.publication(topic))),
@@ -263,8 +242,8 @@ impl ProgramState {
     /// Handles a value of this robot: another program may have published a topic after this one.
     fn on_own(&mut self, value: &Value, run: u32) {
         let is_replaced = self.own.get(&value.topic).is_some_and(|own| {
-            let kept = own.kept.filter(|Position(of, _)| *of == run);
-            own.origin != value.origin && kept.is_some_and(|kept| value.number > kept.1)
+            let kept = own.value.kept.filter(|Position(of, _)| *of == run);
+            own.value.origin != value.origin && kept.is_some_and(|kept| value.number > kept.1)
         });
         if is_replaced {
             self.own.remove(&value.topic);
@@ -275,17 +254,10 @@ impl ProgramState {
     fn give_back(&mut self, now: Instant) {
         let orders = self.own.iter().map(|(topic, own)| {
             let age = now.saturating_duration_since(own.since).as_millis();
-            let order = Order::Set {
-                topic: topic.to_string(),
-                origin: own.origin,
-                sent_ms: own.sent_ms,
-                kept: own.kept,
+            let order = Order::Set(NewValue {
                 age_ms: u64::try_from(age).unwrap_or(u64::MAX),
-                urgency: own.urgency,
-                disk: own.disk,
-                encoding: own.payload.encoding.as_str().to_owned(),
-                bytes: own.payload.bytes.clone(),
-            };
+                ..own.value.clone()
+            });
             (topic.clone(), order)
         });
         let orders: Vec<_> = orders.collect();
@@ -299,7 +271,7 @@ impl ProgramState {
         if let Some(topic) = self.returned.remove(&id) {
             let kept = reply.ok().and_then(|reply| read::<Kept>(&reply.bytes).ok());
             if let (Some(own), Some(kept)) = (self.own.get_mut(&topic), kept) {
-                own.kept = Some(kept.at);
+                own.value.kept = Some(kept.at);
             }
             return;
         }

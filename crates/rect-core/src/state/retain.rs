@@ -26,6 +26,10 @@ const PAUSES: [Duration; 3] = [
 ];
 const QUERY: Id = Id(0);
 
+/// The reason why a value is not retained if there is nobody who keeps it.
+pub const NO_KEEPER: &str =
+    "no router of this robot keeps values. Start rect-router, or a later version of it";
+
 /// How it ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Outcome {

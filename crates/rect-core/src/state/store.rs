@@ -9,10 +9,15 @@ use zenoh_keyexpr::OwnedKeyExpr;
 
 use super::{
     page::{selects, Page, PAGE},
-    Origin, Position, MAX_ROBOT, MAX_ROUTER, MAX_VALUE, OVERHEAD,
+    Origin, Position, BULK, MAX_ROBOT, MAX_ROUTER, MAX_VALUE, OVERHEAD,
 };
 use crate::{
-    message::{encoding::Encoding, payload::Payload, retained::value::Value, urgency::Urgency},
+    message::{
+        encoding::Encoding,
+        payload::Payload,
+        retained::{live::Live, value::Value},
+        urgency::{Qos, Urgency},
+    },
     name::{topic::Topic, Name},
 };
 
@@ -78,22 +83,15 @@ impl Store {
         self.last
     }
 
-    /// Returns the number of the next change, which is none of a value.
+    /// Counts a change that is not one of a value, and returns its number.
     pub(super) fn bump(&mut self) -> u64 {
         self.last += 1;
         self.last
     }
 
     /// Returns the entries of a robot.
-    pub(super) fn of(&self, robot: &Name) -> impl Iterator<Item = (&Key, &Entry)> {
-        // No topic is smaller than the empty one, which does not exist.
-        let robot = robot.clone();
-        let all = self.entries.iter();
-        all.skip_while({
-            let robot = robot.clone();
-            move |((of, _), _)| *of < robot
-        })
-        .take_while(move |((of, _), _)| *of == robot)
+    pub(super) fn of<'a>(&'a self, robot: &'a Name) -> impl Iterator<Item = (&'a Key, &'a Entry)> {
+        self.entries.iter().filter(move |((of, _), _)| of == robot)
     }
 
     /// Returns whether there is a value of the robot.
@@ -253,6 +251,26 @@ impl Store {
 }
 
 impl Entry {
+    /// Returns the attachment of the value as a message, from the keeper with that run.
+    pub(super) fn attachment(&self, run: u32) -> Vec<u8> {
+        let live = Live {
+            position: Position(run, self.number),
+            origin: self.origin,
+            sent_ms: self.sent_ms,
+            urgency: self.urgency,
+        };
+        live.encode()
+    }
+
+    /// Returns the quality of service of the value as a message. A large one travels as bulk.
+    pub(super) fn qos(&self) -> Qos {
+        let payload = self.payload.as_ref();
+        match payload.is_some_and(|payload| payload.bytes.len() > BULK) {
+            true => Urgency::Bulk.qos(),
+            false => self.urgency.qos(),
+        }
+    }
+
     /// Returns the entry as a value of a page of the router of `own`.
     pub(super) fn value(&self, (robot, topic): &Key, own: &Name, now: Instant) -> Value {
         let none = || Payload::new("", Encoding::BYTES);

@@ -7,7 +7,7 @@ use zenoh::{
     bytes::{Encoding, ZBytes},
     handlers::{CallbackDrop, DefaultHandler},
     liveliness::Liveliness,
-    pubsub::Publisher,
+    pubsub::{PublicationBuilder, Publisher, PublisherBuilder},
     query::{ConsolidationMode, Query, QueryTarget, Reply},
     sample::SourceInfo,
     session::SessionGetBuilder,
@@ -50,13 +50,20 @@ pub(super) fn put_once(
     payload: Payload,
     qos: Qos,
 ) -> Result<(), Error> {
-    let put = session
-        .put(key, payload.bytes)
-        .encoding(Encoding::from(payload.encoding.as_str()))
+    let put = with_qos(session.put(key, payload.bytes), qos)
+        .encoding(Encoding::from(payload.encoding.as_str()));
+    put.wait().map_err(Error::zenoh("cannot send the message"))
+}
+
+/// Sets the quality of service of a message.
+fn with_qos<'a, 'b, T>(
+    message: PublicationBuilder<PublisherBuilder<'a, 'b>, T>,
+    qos: Qos,
+) -> PublicationBuilder<PublisherBuilder<'a, 'b>, T> {
+    message
         .priority(priority(qos))
         .express(qos.express)
-        .congestion_control(congestion_control(qos));
-    put.wait().map_err(Error::zenoh("cannot send the message"))
+        .congestion_control(congestion_control(qos))
 }
 
 /// Publishes a retained message, or that its topic is forgotten.
@@ -70,20 +77,12 @@ pub(super) fn put_retained(
 ) -> Result<(), Error> {
     let source = source(session, number);
     let sent = match payload {
-        Some(payload) => session
-            .put(key, payload.bytes)
+        Some(payload) => with_qos(session.put(key, payload.bytes), qos)
             .encoding(Encoding::from(payload.encoding.as_str()))
-            .priority(priority(qos))
-            .express(qos.express)
-            .congestion_control(congestion_control(qos))
             .attachment(attachment)
             .source_info(source)
             .wait(),
-        None => session
-            .delete(key)
-            .priority(priority(qos))
-            .express(qos.express)
-            .congestion_control(congestion_control(qos))
+        None => with_qos(session.delete(key), qos)
             .attachment(attachment)
             .source_info(source)
             .wait(),

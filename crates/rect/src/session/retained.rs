@@ -12,7 +12,7 @@ use rect_core::{
     state::{
         latest::Latest,
         page::Order,
-        retain::{Outcome, Retain},
+        retain::{Outcome, Retain, NO_KEEPER},
     },
 };
 
@@ -164,16 +164,13 @@ impl Robot {
                 reason,
             }),
             Outcome::NoKeeper => {
-                if let Order::Set {
-                    encoding, bytes, ..
-                } = order
-                {
-                    let payload = Payload::new(bytes, Encoding::new(encoding));
+                if let Order::Set(value) = order {
+                    let payload = Payload::new(value.bytes, Encoding::new(value.encoding));
                     self.send_plain(topic.clone(), payload).await?;
                 }
                 Err(Error::NotRetained {
                     topic: topic.to_string(),
-                    reason: "no router of this robot keeps values. Start rect-router, or a later version of it".to_owned(),
+                    reason: NO_KEEPER.to_owned(),
                 })
             }
         }

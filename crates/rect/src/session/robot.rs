@@ -34,7 +34,7 @@ use super::{
     recipients::Recipients,
     router_links::RouterLinks,
     shared::NoItems,
-    state::{keep_own, KeptState, Retention, State},
+    state::{KeptState, Retention, State},
     urgency_sessions::UrgencySessions,
     warnings::{WarningSink, Warnings},
 };
@@ -111,7 +111,8 @@ impl Robot {
             (None, Some(links))
         };
         let instance: u32 = rand::random();
-        let kept = direct.then(|| keep_own(&session, &place)).transpose()?;
+        let kept = direct.then(|| KeptState::of_program(&session, place.clone()));
+        let kept = kept.transpose()?;
         let state = State::new(&session, &place, instance);
         let request_ids = RequestIds::new(Instance(instance), program.is_some());
         let once = Once::new(place.robot.clone(), Instance(instance));

@@ -28,6 +28,11 @@ impl Sink<std::convert::Infallible> for NoItems {
     }
 }
 
+/// Locks state that stays valid if a thread panics.
+pub(super) fn lock<T>(state: &Mutex<T>) -> MutexGuard<'_, T> {
+    state.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 /// The state that an executor shares with Zenoh's callbacks.
 pub(super) struct Shared<D: Driver> {
     driver: Mutex<D>,
@@ -87,7 +92,7 @@ impl<D: Driver> Shared<D> {
 
     /// Returns the driver, for what only the program does. Call [`wake`](Self::wake) if it then has something to do.
     pub(super) fn driver(&self) -> MutexGuard<'_, D> {
-        self.driver.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.driver)
     }
 
     /// Makes the executor poll the driver.
@@ -118,7 +123,6 @@ impl<D: Driver> Shared<D> {
     }
 
     fn open_queries(&self) -> MutexGuard<'_, OpenQueries> {
-        let open = self.open_queries.lock();
-        open.unwrap_or_else(PoisonError::into_inner)
+        lock(&self.open_queries)
     }
 }

@@ -1,6 +1,6 @@
 //! Receives retained messages from the router, and keeps the state of a robot.
 use std::{
-    sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak},
+    sync::{Arc, Mutex, OnceLock, Weak},
     time::Instant,
 };
 
@@ -27,16 +27,9 @@ use super::{
     executor::Executor,
     receive_queue::ReceiveQueue,
     router_links::LinkTable,
-    shared::{Shared, Sink},
+    shared::{lock, Shared, Sink},
 };
 use crate::error::Error;
-
-/// Begins to keep the state of a program that has no router.
-pub(super) fn keep_own(session: &Session, place: &KeySpace) -> Result<KeptState, Error> {
-    let disk = Disk::None("a program without a router keeps no values on disk".to_owned());
-    let save = Box::new(|_: &[u8]| Ok(()));
-    KeptState::start(session, place.clone(), disk, save, Box::new(|_| false))
-}
 
 /// How a handle retains what it publishes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -57,7 +50,7 @@ pub(super) struct State {
 
 type Receivers = Mutex<Vec<(u64, Arc<Receiver>)>>;
 
-/// The part of a subscription that retained messages go through.
+/// The part of a subscription that messages go through, on Zenoh's threads and on that of the driver.
 pub(super) struct Receiver {
     pub(super) inbound: Arc<Mutex<Inbound>>,
     pub(super) queue: Weak<ReceiveQueue<Message>>,
@@ -69,6 +62,15 @@ pub(super) struct Receiver {
 pub(super) struct Reception {
     state: Arc<State>,
     number: u64,
+}
+
+impl Receiver {
+    /// Completes a message that has arrived, and counts it.
+    pub(super) fn complete(&self, message: &mut Message) {
+        let links = self.links.as_ref();
+        message.method = links.and_then(|links| links.method(&message.sender));
+        (self.counting).on_received(message.payload.bytes.len(), message.missed);
+    }
 }
 
 impl State {
@@ -106,7 +108,7 @@ impl State {
     pub(super) fn receive(
         self: &Arc<Self>,
         selected: &[Selected],
-        receiver: Receiver,
+        receiver: Arc<Receiver>,
     ) -> Result<Reception, Error> {
         let published = selected.iter().filter(|one| one.audience == Audience::All);
         let keys: Vec<_> = published.map(|selected| selected.key.clone()).collect();
@@ -114,7 +116,7 @@ impl State {
         // Values that arrive meanwhile wait for the receiver.
         let mut receivers = lock(&self.receivers);
         let number = running.driver().subscribe(&keys, Instant::now());
-        receivers.push((number, Arc::new(receiver)));
+        receivers.push((number, receiver));
         drop(receivers);
         running.wake();
         Ok(Reception {
@@ -154,11 +156,7 @@ impl Sink<Arrival> for ToReceivers {
                 continue;
             };
             for mut message in messages {
-                let links = receiver.links.as_ref();
-                message.method = links.and_then(|links| links.method(&message.sender));
-                receiver
-                    .counting
-                    .on_received(message.payload.bytes.len(), 0);
+                receiver.complete(&mut message);
                 queue.push(message);
             }
         }
@@ -184,6 +182,19 @@ impl KeptState {
     ) -> Result<Self, Error> {
         let now = Instant::now();
         let keeper = StateKeeper::new(place, rand::random(), disk, is_served, now);
+        Self::run(session, keeper, save)
+    }
+
+    /// Begins to keep the state of the robot of a program that has no router.
+    ///
+    /// # Errors
+    /// Returns the errors of [`start`](Self::start).
+    pub fn of_program(session: &Session, place: KeySpace) -> Result<Self, Error> {
+        let keeper = StateKeeper::of_program(place, rand::random(), Instant::now());
+        Self::run(session, keeper, Box::new(|_| Ok(())))
+    }
+
+    fn run(session: &Session, keeper: StateKeeper, save: Save) -> Result<Self, Error> {
         let shared = Arc::new(OnceLock::<Weak<Shared<StateKeeper>>>::new());
         let writer = Writer {
             save,
@@ -232,8 +243,4 @@ impl Sink<Item> for Writer {
             }
         }
     }
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

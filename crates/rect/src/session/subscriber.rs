@@ -5,7 +5,7 @@ use std::{
     fmt,
     panic::{catch_unwind, AssertUnwindSafe},
     pin::Pin,
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex},
     task::{Context, Poll},
     time::{Duration, Instant},
 };
@@ -36,6 +36,7 @@ use super::{
     receive_queue::{QueueWriter, ReceiveQueue},
     robot::Robot,
     router_links::RouterLinks,
+    shared::lock,
     state::{Receiver, Reception},
     warnings::Warnings,
 };
@@ -161,27 +162,24 @@ impl Robot {
         let mut inbound = Inbound::new(place, selected.clone(), Instant::now());
         inbound.follow(self.inner.state.following()?);
         let inbound = Arc::new(Mutex::new(inbound));
-        let receiver = Receiver {
+        let receiver = Arc::new(Receiver {
             inbound: inbound.clone(),
             queue: Arc::downgrade(&queue),
             counting: self.inner.counting.clone(),
             links: self.inner.router_links.as_ref().map(RouterLinks::table),
-        };
+        });
         let receiving = selected.clone();
         let declare = |(subscription, Selected { key, .. })| {
-            let (writer, inbound) = (QueueWriter::new(&queue), inbound.clone());
-            let counting = self.inner.counting.clone();
-            let links = self.inner.router_links.as_ref().map(RouterLinks::table);
+            let (writer, receiver) = (QueueWriter::new(&queue), receiver.clone());
             let on_sample = move |sample: Sample| {
-                let mut message = match on_sample(&inbound, &sample, subscription) {
+                let counting = &receiver.counting;
+                let mut message = match on_sample(&receiver.inbound, &sample, subscription) {
                     Ok(message) => message,
                     Err(Undelivered::Expired { missed }) => return counting.on_expired(missed),
                     Err(Undelivered::NotSelected) => return,
                     Err(Undelivered::InvalidTopic) => return counting.on_rejected(),
                 };
-                let links = links.as_ref();
-                message.method = links.and_then(|links| links.method(&message.sender));
-                counting.on_received(message.payload.bytes.len(), message.missed);
+                receiver.complete(&mut message);
                 writer.push(message);
             };
             let declared = self
@@ -406,10 +404,6 @@ fn on_sample(
         subscription,
     };
     lock(inbound).on_delivery(delivery, Instant::now)
-}
-
-fn lock(inbound: &Mutex<Inbound>) -> std::sync::MutexGuard<'_, Inbound> {
-    inbound.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Calls a callback for `subject`, a topic or "events", and logs its panic if there is one.

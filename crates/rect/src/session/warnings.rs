@@ -2,7 +2,7 @@
 use std::{
     fmt::Display,
     io::Write,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{Arc, Mutex},
     time::Instant,
 };
 
@@ -12,7 +12,7 @@ use rect_core::{
     session::name_check::{NameCheck, Used, UsedNames},
 };
 
-use super::shared::Sink;
+use super::shared::{lock, Sink};
 
 /// The warnings of one program, and the state that prevents their repetition.
 pub(super) struct Warnings {
@@ -36,7 +36,7 @@ impl Warnings {
     /// Counts a message without a value, and warns of the first one of each sender and topic.
     pub(super) fn on_problem(&self, sender: &Name, topic: &Topic, problem: &dyn Display) {
         self.counting.on_problem();
-        let warning = locked(&self.problems).on_problem(sender, topic, problem);
+        let warning = lock(&self.problems).on_problem(sender, topic, problem);
         if let Some(warning) = warning {
             warn(&warning);
         }
@@ -44,19 +44,19 @@ impl Warnings {
 
     /// Returns the check of a name that the program uses, if there is to be one.
     pub(super) fn name_check(&self, place: &KeySpace, used: Used) -> Option<NameCheck> {
-        locked(&self.names).check(place, used, Instant::now())
+        lock(&self.names).check(place, used, Instant::now())
     }
 
     /// Warns of a problem that the router has with a retained value.
     pub(super) fn on_retention_problem(&self, text: &str) {
-        if locked(&self.state).replace(text.to_owned()).as_deref() != Some(text) {
+        if lock(&self.state).replace(text.to_owned()).as_deref() != Some(text) {
             warn(text);
         }
     }
 
     /// Warns of a topic or pattern that is probably misspelled.
     pub(super) fn on_topic(&self, topic: &str) {
-        let warning = locked(&self.names).on_topic(topic);
+        let warning = lock(&self.names).on_topic(topic);
         if let Some(warning) = warning {
             warn(&warning);
         }
@@ -80,8 +80,4 @@ fn warn(text: &str) {
         // Unlike `eprintln!`, without a panic if it is closed.
         let _ = writeln!(std::io::stderr(), "rect: {text}");
     }
-}
-
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }

@@ -10,9 +10,11 @@
 //! | 1 to 9 | how many values that run had published before, LEB128 |
 //! | 6 | the time of sending in milliseconds since 1970 by the program's clock, little endian |
 use super::{Origin, Position};
-use crate::message::urgency::Urgency;
+use crate::message::{leb128, urgency::Urgency};
 
 const MARK: u8 = 0xF7;
+/// The maximum length of a number: 63 bits.
+const NUMBER_BYTES: usize = 9;
 
 /// The attachment of a retained message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,7 +43,7 @@ impl Live {
             (self.origin.0, self.origin.1),
         ] {
             bytes.extend(run.to_le_bytes());
-            write_leb128(number, &mut bytes);
+            leb128::write(number, |byte| bytes.push(byte));
         }
         bytes.extend(&self.sent_ms.to_le_bytes()[..6]);
         bytes
@@ -57,9 +59,9 @@ impl Live {
             _ => return None,
         };
         let (run, rest) = rest.split_first_chunk()?;
-        let (number, rest) = read_leb128(rest)?;
+        let (number, rest) = leb128::read(rest, NUMBER_BYTES)?;
         let (program, rest) = rest.split_first_chunk()?;
-        let (count, rest) = read_leb128(rest)?;
+        let (count, rest) = leb128::read(rest, NUMBER_BYTES)?;
         let low: [u8; 6] = rest.try_into().ok()?;
         let mut sent = [0; 8];
         sent[..6].copy_from_slice(&low);
@@ -70,28 +72,6 @@ impl Live {
             urgency,
         })
     }
-}
-
-fn write_leb128(mut rest: u64, to: &mut Vec<u8>) {
-    while rest >= 0x80 {
-        to.push(rest as u8 | 0x80);
-        rest >>= 7;
-    }
-    to.push(rest as u8);
-}
-
-/// Returns the number of up to 63 bits at the beginning of the bytes, and the bytes after it.
-fn read_leb128(mut bytes: &[u8]) -> Option<(u64, &[u8])> {
-    let mut number = 0;
-    for shift in (0..63).step_by(7) {
-        let (&byte, after) = bytes.split_first()?;
-        bytes = after;
-        number |= u64::from(byte & 0x7f) << shift;
-        if byte & 0x80 == 0 {
-            return Some((number, bytes));
-        }
-    }
-    None
 }
 
 #[cfg(test)]

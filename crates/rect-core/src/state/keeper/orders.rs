@@ -6,17 +6,12 @@ use zenoh_keyexpr::OwnedKeyExpr;
 use super::{Item, StateKeeper};
 use crate::{
     driver::{Action, QueryId},
-    message::{
-        encoding::Encoding,
-        payload::Payload,
-        retained::live::Live,
-        urgency::{Qos, Urgency},
-    },
+    message::{encoding::Encoding, payload::Payload, urgency::Urgency},
     name::topic::Topic,
     state::{
-        page::{checked, read, write, Kept, Order, MAX_KEYS_OF_PROGRAM},
+        page::{checked, read, write, Kept, NewValue, Order, MAX_KEYS_OF_PROGRAM},
         store::{before, zenoh_key, Entry, Key},
-        Origin, Position, BULK, OF_PROGRAMS,
+        Position, OF_PROGRAMS,
     },
 };
 
@@ -35,8 +30,8 @@ impl StateKeeper {
                 Ok(keys) => {
                     let (replaced, has_changed) = self.polls.add(program, query, since, keys, now);
                     replaced.into_iter().for_each(|query| self.end(query));
-                    self.mark_program(program, false);
                     if has_changed {
+                        self.mark_program(program, false);
                         self.on_interests();
                     }
                 }
@@ -55,7 +50,7 @@ impl StateKeeper {
                 }
                 Err(error) => self.refuse(query, error),
             },
-            Order::Set { ref topic, .. } | Order::Forget { ref topic, .. } => {
+            Order::Set(NewValue { ref topic, .. }) | Order::Forget { ref topic, .. } => {
                 match Topic::new(topic) {
                     Ok(topic) => match self.set(topic, order, now) {
                         Ok(kept) => self.answer(query, OF_PROGRAMS, write(&kept)),
@@ -77,31 +72,21 @@ impl StateKeeper {
         let key = (self.place.robot.clone(), topic);
         let existing = self.store.get(&key);
         let (entry, is_restored) = match order {
-            Order::Set {
-                origin,
-                sent_ms,
-                kept,
-                age_ms,
-                urgency,
-                disk,
-                encoding,
-                bytes,
-                ..
-            } => {
-                let encoding = Encoding::new(encoding);
+            Order::Set(value) => {
+                let encoding = Encoding::new(value.encoding);
                 encoding.check_length().map_err(|error| error.to_string())?;
                 let entry = Entry {
                     number: 0,
-                    origin,
-                    payload: Some(Payload::new(bytes, encoding)),
-                    urgency,
-                    sent_ms,
-                    since: before(now, Duration::from_millis(age_ms)),
+                    origin: value.origin,
+                    payload: Some(Payload::new(value.bytes, encoding)),
+                    urgency: value.urgency,
+                    sent_ms: value.sent_ms,
+                    since: before(now, Duration::from_millis(value.age_ms)),
                     has_ended: false,
-                    kept,
-                    disk,
+                    kept: value.kept,
+                    disk: value.disk,
                 };
-                (entry, kept.is_some())
+                (entry, value.kept.is_some())
             }
             Order::Forget {
                 origin, sent_ms, ..
@@ -147,7 +132,7 @@ impl StateKeeper {
         }
         let was_on_disk = existing.is_some_and(|existing| existing.disk);
         let is_on_disk = entry.disk || was_on_disk;
-        let published = Published::of(&entry);
+        let (payload, qos) = (entry.payload.clone(), entry.qos());
         let warning = self.not_on_disk.clone().filter(|_| entry.disk);
         match self.store.put(key.clone(), entry) {
             Ok(number) => {
@@ -156,7 +141,7 @@ impl StateKeeper {
                     self.items.push_back(Item::Save(self.saved(now)));
                 }
                 if !is_restored {
-                    self.publish(&key, number, published);
+                    self.publish(&key);
                 }
                 self.announce();
                 self.on_change(&key, now);
@@ -166,11 +151,11 @@ impl StateKeeper {
                 })
             }
             Err(full) => {
-                if let (false, Some(payload)) = (is_restored, published.payload) {
+                if let (false, Some(payload)) = (is_restored, payload) {
                     self.actions.push_back(Action::PutOnce {
                         key: zenoh_key(&self.place.fleet, &key),
                         payload,
-                        qos: published.qos,
+                        qos,
                     });
                 }
                 Err(full.to_string())
@@ -178,48 +163,18 @@ impl StateKeeper {
         }
     }
 
-    fn publish(&mut self, key: &Key, number: u64, published: Published) {
-        let live = Live {
-            position: Position(self.run, number),
-            origin: published.origin,
-            sent_ms: published.sent_ms,
-            urgency: published.urgency,
+    /// Publishes a value that is kept, or that its topic is forgotten.
+    fn publish(&mut self, key: &Key) {
+        let Some(entry) = self.store.get(key) else {
+            return;
         };
         self.actions.push_back(Action::PutRetained {
             key: zenoh_key(&self.place.fleet, key),
-            payload: published.payload,
-            qos: published.qos,
-            attachment: live.encode(),
-            number: number as u32,
-        });
-    }
-}
-
-/// A value that is published.
-struct Published {
-    payload: Option<Payload>,
-    qos: Qos,
-    origin: Origin,
-    sent_ms: u64,
-    urgency: Urgency,
-}
-
-impl Published {
-    fn of(entry: &Entry) -> Self {
-        let size = entry
-            .payload
-            .as_ref()
-            .map_or(0, |payload| payload.bytes.len());
-        Self {
             payload: entry.payload.clone(),
-            qos: match size > BULK {
-                true => Urgency::Bulk.qos(),
-                false => entry.urgency.qos(),
-            },
-            origin: entry.origin,
-            sent_ms: entry.sent_ms,
-            urgency: entry.urgency,
-        }
+            qos: entry.qos(),
+            attachment: entry.attachment(self.run),
+            number: entry.number as u32,
+        });
     }
 }
 

@@ -3,7 +3,7 @@ use std::time::{Duration, Instant};
 
 use zenoh_keyexpr::OwnedKeyExpr;
 
-use super::{StateKeeper, PRESENCE, TIMEOUT, TOKENS};
+use super::{next_id, StateKeeper, PRESENCE, TIMEOUT, TOKENS};
 use crate::{
     driver::{Action, Declaration, Get, Id, QueryId, Sample},
     message::{
@@ -15,8 +15,8 @@ use crate::{
     session::peers,
     state::{
         copies::is_of,
-        page::{checked, read, selects, write, Page, Question, MAX_KEYS},
-        store::{is_selected, zenoh_key, Entry, Full, Key},
+        page::{checked, read, write, Page, Question, MAX_KEYS},
+        store::{is_selected, Entry, Full, Key},
         Position, STATE, TOKEN,
     },
 };
@@ -40,7 +40,7 @@ impl StateKeeper {
         self.subscribe();
     }
 
-    /// Returns the topics of other robots that programs subscribe to, or that programs which run do.
+    /// Returns the topics of other robots that programs subscribe to. `is_running`: without those of programs that have ended.
     pub(super) fn of_others(&self, is_running: bool) -> Vec<OwnedKeyExpr> {
         let KeySpace { fleet, robot } = &self.place;
         let own = format!("{fleet}/{robot}/");
@@ -226,7 +226,7 @@ impl StateKeeper {
 
     pub(super) fn on_page(&mut self, id: Id, payload: &Payload, now: Instant) {
         // A wrong answer counts as none, so that the question is asked again later.
-        let Ok(page) = read::<Page>(&payload.bytes) else {
+        let Ok(mut page) = read::<Page>(&payload.bytes) else {
             return;
         };
         let robot = self.copies.asked(id).cloned();
@@ -236,15 +236,18 @@ impl StateKeeper {
         if page.records.iter().any(|value| value.robot.is_some()) {
             return;
         }
-        let interests = self.interests.clone();
-        for value in &page.records {
-            let key = zenoh_key(&self.place.fleet, &(robot.clone(), value.topic.clone()));
-            if selects(&interests, &key) {
-                self.copy(&robot, value.clone(), page.run, now);
-            }
+        let KeySpace { fleet, .. } = &self.place;
+        let is_selected = |value: &Value| {
+            let key = (robot.clone(), value.topic.clone());
+            is_selected(fleet, &self.interests, &key)
+        };
+        let records = std::mem::take(&mut page.records).into_iter();
+        let selected: Vec<_> = records.filter(is_selected).collect();
+        for value in selected {
+            self.copy(&robot, value, page.run, now);
         }
-        let fleet = &self.place.fleet;
-        let Some(arrived) = self.copies.on_page(id, &page, &interests, fleet) else {
+        let (interests, fleet) = (&self.interests, &self.place.fleet);
+        let Some(arrived) = self.copies.on_page(id, &page, interests, fleet) else {
             return;
         };
         if let Some(keys) = arrived.forgotten {
@@ -292,35 +295,23 @@ impl StateKeeper {
 
     /// Asks other routers what is due.
     pub(super) fn ask(&mut self, now: Instant) {
-        let interests = self.interests.clone();
-        let KeySpace { fleet, robot: own } = self.place.clone();
         loop {
-            let next = &mut self.next;
-            let id = || {
-                *next += 1;
-                Id(*next)
-            };
-            let asked = (self.copies).next_question(now, (&fleet, &own), &interests, id);
+            let (fleet, own) = (&self.place.fleet, &self.place.robot);
+            let id = || next_id(&mut self.last_id);
+            let asked = (self.copies).next_question(now, (fleet, own), &self.interests, id);
             let Some((id, robot, question)) = asked else {
                 break;
             };
             self.get(id, &robot, &question);
         }
-        loop {
-            let next = &mut self.next;
-            let id = || {
-                *next += 1;
-                Id(*next)
-            };
-            let Some((id, robot)) = self.followers.due(now, id) else {
-                break;
-            };
+        while let Some((id, robot)) = self.followers.due(now, || next_id(&mut self.last_id)) {
+            let KeySpace { fleet, robot: own } = &self.place;
             let keys = self.followers.keys(&robot);
-            let select = |key: &Key| is_selected(&fleet, keys, key);
+            let select = |key: &Key| is_selected(fleet, keys, key);
             let question = Question::Check {
                 of: own.to_string(),
                 at: Position(self.run, self.store.last()),
-                digest: self.store.digest(&own, None, select),
+                digest: self.store.digest(own, None, select),
                 is_complete: self.grace.is_none(),
             };
             self.get(id, &robot, &question);
