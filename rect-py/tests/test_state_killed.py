@@ -104,6 +104,9 @@ class Publisher:
     def _read(self) -> None:
         assert self._process.stdout is not None
         for line in self._process.stdout:
+            # The kill may cut the last line.
+            if not line.endswith("\n"):
+                continue
             number, topic, outcome = line.rstrip("\n").split(" ", 2)
             if outcome == "done":
                 self.is_idle.set()
