@@ -9,6 +9,7 @@ use std::{
 use super::{RegistryError, RegistryQuery};
 use crate::{
     catalogue::{
+        self,
         token::{self, Token},
         Instance, CATALOGUE, MAX_PROGRAMS,
     },
@@ -73,9 +74,17 @@ impl Catalogues {
         (!revisions.is_empty() && of == revisions).then(|| catalogue.clone())
     }
 
-    /// Keeps the catalogue of a robot.
+    /// Keeps the catalogue of a robot, if it lists the programs of these revisions. A router that is busy may list a program for a moment
+    /// after its token has ended here, and nothing would correct what is kept then.
     pub(super) fn keep(&self, robot: &Name, revisions: Revisions, catalogue: &Payload) {
+        let programs = catalogue::read(&catalogue.bytes).unwrap_or_default();
+        let listed: BTreeSet<_> = programs.iter().map(|program| program.instance).collect();
+        let expected: BTreeSet<_> = revisions.iter().map(|(instance, _)| *instance).collect();
         let mut kept = self.lock();
+        if listed != expected {
+            kept.remove(robot);
+            return;
+        }
         if kept.len() >= MAX_KEPT && !kept.contains_key(robot) {
             kept.clear();
         }
@@ -161,20 +170,29 @@ mod tests {
         Name::new(text).expect("valid name")
     }
 
-    fn sample(key: &str, payload: &'static str) -> Sample {
+    fn sample(key: &str, payload: &str) -> Sample {
         Sample {
             key: key.to_owned(),
-            payload: Payload::new(payload, Encoding::JSON),
+            payload: Payload::new(payload.to_owned(), Encoding::JSON),
             is_deleted: false,
             attachment: None,
         }
+    }
+
+    /// Returns the JSON of a catalogue with these programs, each of which serves one topic.
+    fn listing(instances: &[&str], topic: &str) -> String {
+        let program = |instance: &&str| {
+            format!(r#"{{"instance":"{instance}","services":[{{"topic":"{topic}"}}]}}"#)
+        };
+        let programs: Vec<_> = instances.iter().map(program).collect();
+        format!("[{}]", programs.join(","))
     }
 
     /// Asks for the catalogue while these are the tokens. Returns what it is, and whether the robot's router was asked.
     fn ask(
         catalogues: &Catalogues,
         tokens: &[&str],
-        answer: &'static str,
+        answer: &str,
     ) -> (Result<String, RegistryError>, bool) {
         let place = KeySpace {
             fleet: name("rect"),
@@ -209,12 +227,31 @@ mod tests {
     fn catalogue_is_kept_until_a_revision_changes() {
         let catalogues = Catalogues::default();
         let (arm, later) = ("arm/0000001f/0", "arm/0000001f/1");
-        assert_eq!(ask(&catalogues, &[arm], "one"), (Ok("one".into()), true));
-        assert_eq!(ask(&catalogues, &[arm], "two"), (Ok("one".into()), false));
-        assert_eq!(ask(&catalogues, &[later], "two"), (Ok("two".into()), true));
-        let another = [later, "~/00000020/0"];
-        let found = ask(&catalogues, &another, "three");
-        assert_eq!(found, (Ok("three".into()), true));
+        let (one, two) = (listing(&["0000001f"], "one"), listing(&["0000001f"], "two"));
+        assert_eq!(ask(&catalogues, &[arm], &one), (Ok(one.clone()), true));
+        assert_eq!(ask(&catalogues, &[arm], &two), (Ok(one.clone()), false));
+        assert_eq!(ask(&catalogues, &[later], &two), (Ok(two.clone()), true));
+        let three = listing(&["0000001f", "00000020"], "three");
+        let found = ask(&catalogues, &[later, "~/00000020/0"], &three);
+        assert_eq!(found, (Ok(three), true));
+    }
+
+    #[test]
+    fn catalogue_that_lists_a_program_without_a_token_is_not_kept() {
+        let catalogues = Catalogues::default();
+        let (drive, arm) = ("drive/00000020/0", "arm/0000001f/0");
+        let (both, one) = (
+            listing(&["0000001f", "00000020"], "both"),
+            listing(&["00000020"], "one"),
+        );
+        assert_eq!(
+            ask(&catalogues, &[drive, arm], &both),
+            (Ok(both.clone()), true)
+        );
+        // The router has not heard of the end yet.
+        assert_eq!(ask(&catalogues, &[drive], &both), (Ok(both), true));
+        assert_eq!(ask(&catalogues, &[drive], &one), (Ok(one.clone()), true));
+        assert_eq!(ask(&catalogues, &[drive], ""), (Ok(one), false));
     }
 
     #[test]
@@ -227,7 +264,7 @@ mod tests {
     #[test]
     fn wrong_tokens_count_for_nothing() {
         let catalogues = Catalogues::default();
-        let _ = ask(&catalogues, &["arm/zz/0", "a/b/c/d"], "one");
+        let _ = ask(&catalogues, &["arm/zz/0", "a/b/c/d"], "[]");
         assert_eq!(catalogues.lock()[&name("wombat-1")].0, Revisions::new());
     }
 
