@@ -4,6 +4,7 @@
 //! An executor calls [`Driver::poll`] until the step is to wait or the driver has finished, and performs each action.
 //! It reports what Zenoh delivers with [`Driver::on_event`]. Drivers do no I/O and never block.
 mod action;
+pub mod ended_tokens;
 mod event;
 pub mod question;
 

@@ -4,6 +4,7 @@ use std::{collections::BTreeSet, time::Instant};
 use super::token::{self, Token};
 use crate::{
     driver::{
+        ended_tokens::EndedTokens,
         question::{Next, Question},
         Action, Declaration, Driver, Event, Get, Id, Reaction, Step,
     },
@@ -30,6 +31,7 @@ pub struct RequesterWait {
     robots: BTreeSet<String>,
     programs: BTreeSet<String>,
     question: Question,
+    ended: EndedTokens,
     subscribers: std::array::IntoIter<(Id, String), 2>,
     is_closed: bool,
 }
@@ -52,6 +54,7 @@ impl RequesterWait {
             robots: BTreeSet::new(),
             programs: BTreeSet::new(),
             question: Question::new(QUESTIONS),
+            ended: EndedTokens::default(),
             subscribers: [(first, of_robot), (second, of_programs)].into_iter(),
             is_closed: false,
         })
@@ -82,13 +85,19 @@ impl Driver for RequesterWait {
 
     fn on_event(&mut self, now: Instant, event: Event) -> Reaction<Self::Item> {
         match event {
-            Event::Sample { sample, .. } => self.on_token(sample.key, sample.is_deleted),
+            Event::Sample { sample, .. } => {
+                self.ended.on_sample(&sample.key, sample.is_deleted);
+                self.on_token(sample.key, sample.is_deleted);
+            }
             Event::Reply { reply, .. } => {
-                if let Ok(sample) = reply {
+                if let Some(sample) = reply.ok().filter(|token| !self.ended.contains(&token.key)) {
                     self.on_token(sample.key, false);
                 }
             }
-            Event::Ended { .. } => self.question.on_ended(now, self.is_present()),
+            Event::Ended { .. } => {
+                self.ended.on_answered();
+                self.question.on_ended(now, self.is_present());
+            }
             Event::Closed => self.is_closed = true,
             _ => return Reaction::NONE,
         }
@@ -105,6 +114,7 @@ impl Driver for RequesterWait {
         }
         match self.question.next(now) {
             Next::Ask => {
+                self.ended.on_asked();
                 let tokens = self.place.own(Some(&self.robot), "**");
                 let get = Get::liveliness(tokens, peers::TIMEOUT);
                 Step::Act(Action::Get { id: QUERY, get })
@@ -188,6 +198,20 @@ mod tests {
             let mut wait = wait(is_announced);
             assert_eq!(is_finished(&mut wait, tokens), !is_present, "{tokens:?}");
         }
+    }
+
+    #[test]
+    fn reply_about_a_token_that_has_ended_meanwhile_counts_for_nothing() {
+        let (mut wait, now) = (wait(true), Instant::now());
+        while !matches!(wait.poll(now), Step::Act(Action::Get { .. })) {}
+        for (key, is_deleted) in [(ALIVE, false), (PROGRAM, false), (PROGRAM, true)] {
+            let (id, sample) = (SUBSCRIBERS[1], sample(key, is_deleted));
+            let _ = wait.on_event(now, Event::Sample { id, sample });
+        }
+        let reply = Ok(sample(PROGRAM, false));
+        let _ = wait.on_event(now, Event::Reply { id: QUERY, reply });
+        let _ = wait.on_event(now, Event::Ended { id: QUERY });
+        assert!(is_finished(&mut wait, &[ALIVE]));
     }
 
     #[test]

@@ -7,6 +7,7 @@ use std::{
 use super::peers::{tokens, TIMEOUT};
 use crate::{
     driver::{
+        ended_tokens::EndedTokens,
         question::{Next, Question},
         Action, Declaration, Driver, Event, Get, Id, Reaction, Step,
     },
@@ -49,6 +50,7 @@ pub struct Recipients {
     /// The robots that are asked for.
     sought: BTreeSet<Name>,
     question: Question,
+    ended: EndedTokens,
     /// When the wait for the answer ends.
     deadline: Option<Instant>,
     is_declared: bool,
@@ -67,6 +69,7 @@ impl Recipients {
             missing: BTreeSet::new(),
             sought: BTreeSet::new(),
             question: Question::new(QUESTIONS),
+            ended: EndedTokens::default(),
             deadline: None,
             is_declared: false,
             has_names: false,
@@ -148,12 +151,18 @@ impl Driver for Recipients {
 
     fn on_event(&mut self, now: Instant, event: Event) -> Reaction<()> {
         match event {
-            Event::Sample { sample, .. } => return self.on_token(sample.key, sample.is_deleted),
+            Event::Sample { sample, .. } => {
+                self.ended.on_sample(&sample.key, sample.is_deleted);
+                return self.on_token(sample.key, sample.is_deleted);
+            }
             Event::Reply { reply, .. } => match reply {
-                Ok(sample) => return self.on_token(sample.key, false),
-                Err(_) => return Reaction::NONE,
+                Ok(sample) if !self.ended.contains(&sample.key) => {
+                    return self.on_token(sample.key, false);
+                }
+                _ => return Reaction::NONE,
             },
             Event::Ended { .. } => {
+                self.ended.on_answered();
                 let mut sought = self.sought.iter();
                 let is_answered = sought.all(|robot| self.reachable.contains_key(robot));
                 self.question.on_ended(now, is_answered);
@@ -179,6 +188,7 @@ impl Driver for Recipients {
             false => self.question.next(now),
         };
         if next == Next::Ask {
+            self.ended.on_asked();
             let get = Get::liveliness(tokens(&self.place, None), TIMEOUT);
             return Step::Act(Action::Get { id: QUERY, get });
         }
