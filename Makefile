@@ -17,9 +17,9 @@ test: ## Run the tests that every change must pass, in 25 minutes (JOBS="unit vm
 	@scripts/setup $(if $(JOBS),test-all,test)
 	@scripts/test $(JOBS)
 
-test-all: test ## Run all jobs of CI, in an hour: make test, and then the rest (scripts/test --list lists both)
+test-all: ## Run all jobs of CI, in an hour: those of make test, and the rest (scripts/test --list lists both)
 	@scripts/setup test-all
-	@scripts/test --rest
+	@scripts/test --all
 
 test-kernels: ## Run the Bluetooth tests on the kernels of Debian 11, 12 and 13
 	@scripts/setup test
