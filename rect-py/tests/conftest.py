@@ -16,6 +16,14 @@ import rect
 from programs import DEADLINE as DEADLINE
 from programs import Routers, linked_routers
 
+#: The files that take longest. They begin first, so that no worker is left with one of them at the end.
+_LONGEST = ["test_foxglove", "test_state_killed", "test_recording", "test_state", "test_programs", "test_killed"]
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    names = [*_LONGEST, ""]
+    items.sort(key=lambda item: names.index(item.path.stem if item.path.stem in names else ""))
+
 
 def free_port() -> int:
     with socket.socket() as probe:
