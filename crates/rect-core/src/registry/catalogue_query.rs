@@ -248,7 +248,7 @@ mod tests {
             ask(&catalogues, &[drive, arm], &both),
             (Ok(both.clone()), true)
         );
-        // The router has not heard of the end yet.
+        // The router does not know of the end yet.
         assert_eq!(ask(&catalogues, &[drive], &both), (Ok(both), true));
         assert_eq!(ask(&catalogues, &[drive], &one), (Ok(one.clone()), true));
         assert_eq!(ask(&catalogues, &[drive], ""), (Ok(one), false));
