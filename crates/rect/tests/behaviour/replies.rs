@@ -13,8 +13,8 @@ use rect::{Error, Gathered, Json, Payload, Robot};
 use crate::pair::{dialling, free_endpoint, listening, pair, stock_client, TIMEOUT};
 use zenoh::Wait;
 
-/// How long a service may take to learn that nobody waits.
-const LEARNS_WITHIN: Duration = Duration::from_millis(500);
+/// How long a service may take to learn that nobody waits, on a computer that is busy with other tests: 0.5 s otherwise.
+const LEARNS_WITHIN: Duration = Duration::from_secs(3);
 
 /// Asks all robots for `grab` until as many are expected and reply.
 async fn gathered(robot: &Robot, expected: usize) -> Gathered<f64> {
