@@ -31,6 +31,8 @@ pub(super) struct Copied {
     presence: usize,
     /// Since when it is reachable without keeping values.
     without: Option<Instant>,
+    /// Whether it has forgotten all of its values.
+    pub(super) is_empty: bool,
     /// The position up to which everything is known.
     position: Option<Position>,
     /// The topics of which everything up to the position is known.
@@ -80,6 +82,7 @@ impl Copied {
             runs: Vec::new(),
             presence: 0,
             without: None,
+            is_empty: false,
             position: None,
             fetched: Vec::new(),
             is_complete: false,
@@ -174,6 +177,7 @@ impl Copies {
                 copied.runs.remove(0);
             }
             copied.runs.push(run);
+            copied.is_empty = false;
             // A link was interrupted, or the router was restarted.
             (copied.is_behind, copied.retry_at, copied.pause) = (true, None, PAUSE);
         }
@@ -192,24 +196,17 @@ impl Copies {
         copied.on_presence(now);
     }
 
-    /// Returns the robots that have forgotten all of their values, since their routers keep none any more. `has_values`: whether there
-    /// are copies of a robot.
-    pub(super) fn emptied(
-        &mut self,
-        now: Instant,
-        has_values: impl Fn(&Name) -> bool,
-    ) -> Vec<Name> {
+    /// Returns the robots that have forgotten all of their values, since their routers keep none any more.
+    pub(super) fn emptied(&mut self, now: Instant) -> Vec<Name> {
         let mut emptied = Vec::new();
         for (robot, copied) in &mut self.0 {
             let is_due = copied
                 .without
                 .is_some_and(|since| now >= since + FORGOTTEN_AFTER);
-            if is_due && has_values(robot) {
-                (copied.position, copied.fetched) = (None, Vec::new());
-                emptied.push(robot.clone());
-            }
             if is_due {
-                copied.without = None;
+                (copied.position, copied.fetched) = (None, Vec::new());
+                (copied.without, copied.is_empty) = (None, true);
+                emptied.push(robot.clone());
             }
         }
         emptied
@@ -354,7 +351,14 @@ impl Copies {
         for copied in self.0.values_mut() {
             let fetched = std::mem::take(&mut copied.fetched);
             let is_known = |key: &&OwnedKeyExpr| fetched.iter().any(|known| known.includes(key));
-            copied.fetched = interests.iter().filter(is_known).cloned().collect();
+            let known: Vec<_> = interests.iter().filter(is_known).cloned().collect();
+            // The copies of topics that are a part of a new key stay.
+            let is_part = |key: &OwnedKeyExpr| {
+                !known.iter().any(|known| known.includes(key))
+                    && interests.iter().any(|interest| interest.includes(key))
+            };
+            let parts: Vec<_> = fetched.iter().filter(|key| is_part(key)).cloned().collect();
+            copied.fetched = [known, parts].concat();
         }
     }
 

@@ -47,6 +47,9 @@ const PROGRAMS: Id = Id(7);
 /// The ids of questions and subscriptions follow this one.
 const FIRST: u64 = 16;
 
+/// The position of a robot whose router keeps no values.
+const NOWHERE: Position = Position(0, 0);
+
 /// Something for the one who runs the driver.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Item {
@@ -210,6 +213,7 @@ impl StateKeeper {
             let kept = Some(Position(page.run, value.number));
             let entry = Entry {
                 disk: true,
+                is_loaded: true,
                 has_ended: true,
                 ..Entry::of(value, kept, now)
             };
@@ -311,12 +315,15 @@ impl StateKeeper {
         }
         if !is_own {
             let others = self.copies.all().filter(|(robot, copied)| {
-                copied.is_complete
-                    && is_new(copied.complete_at)
-                    && copied.covers(fleet, robot, keys)
+                let is_known = copied.is_complete && copied.covers(fleet, robot, keys);
+                is_new(copied.complete_at) && (is_known || copied.is_empty)
             });
             let complete = |(robot, copied): (&Name, &Copied)| {
-                copied.position().map(|at| (robot.to_string(), at))
+                let at = match copied.is_empty {
+                    true => Some(NOWHERE),
+                    false => copied.position(),
+                };
+                at.map(|at| (robot.to_string(), at))
             };
             page.complete.extend(others.filter_map(complete));
         }
@@ -462,10 +469,8 @@ impl StateKeeper {
         if !gone.is_empty() {
             self.on_interests();
         }
-        let store = &self.store;
-        for robot in self.copies.emptied(now, |robot| store.has_values_of(robot)) {
-            let interests = self.interests.clone();
-            self.forget_others(&robot, &interests, self.run, now);
+        for robot in self.copies.emptied(now) {
+            self.on_emptied(&robot);
         }
         self.answer_polls(now);
         self.ask(now);

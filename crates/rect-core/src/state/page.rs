@@ -1,4 +1,6 @@
 //! The questions that programs and routers ask a router about state, and its answers, in CBOR.
+use std::time::Duration;
+
 use bytes::Bytes;
 use serde::{de::DeserializeOwned, Deserialize, Serialize};
 use zenoh_keyexpr::{keyexpr, OwnedKeyExpr};
@@ -67,6 +69,9 @@ pub enum Order {
         origin: Origin,
         /// When it was forgotten, in milliseconds since 1970.
         sent_ms: u64,
+        /// How many milliseconds ago the program asked for that first.
+        #[serde(default)]
+        age_ms: u64,
     },
     /// What has changed? The answer waits until something has, and for [`POLL`](super::program::POLL) at most.
     Poll {
@@ -84,6 +89,17 @@ pub enum Order {
     },
 }
 
+impl Order {
+    /// Returns the order as it is that long after a program has given it first.
+    pub(super) fn after(&self, age: Duration) -> Self {
+        let mut order = self.clone();
+        if let Self::Set(NewValue { age_ms, .. }) | Self::Forget { age_ms, .. } = &mut order {
+            *age_ms = u64::try_from(age.as_millis()).unwrap_or(u64::MAX);
+        }
+        order
+    }
+}
+
 /// A value that a program gives to its router.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct NewValue {
@@ -95,7 +111,7 @@ pub struct NewValue {
     pub sent_ms: u64,
     /// Its position at an earlier run of the router, if that had it. Then it is not published again.
     pub kept: Option<Position>,
-    /// How many milliseconds ago it was published.
+    /// How many milliseconds ago it was published, or the program gave it to a router first.
     pub age_ms: u64,
     /// The urgency of the message.
     pub urgency: Urgency,
@@ -114,6 +130,9 @@ pub struct Kept {
     pub at: Position,
     /// A problem that the program should know.
     pub warning: Option<String>,
+    /// Whether another program has published the topic since, so that its value is the last one.
+    #[serde(default)]
+    pub is_replaced: bool,
 }
 
 /// A part of the answer to a question: values in the order of their numbers.

@@ -163,20 +163,27 @@ impl ProgramState {
             topic: topic.to_string(),
             origin: self.next_origin(),
             sent_ms,
+            age_ms: 0,
         }
     }
 
     /// Handles that the router keeps a value of the program, or has forgotten it.
     pub fn on_kept(&mut self, topic: Topic, order: &Order, kept: Kept, now: Instant) {
         match order {
-            Order::Set(value) => {
+            Order::Set(value) if !kept.is_replaced => {
                 let value = NewValue {
                     kept: Some(kept.at),
                     ..value.clone()
                 };
                 let own = Own { value, since: now };
-                if self.own.insert(topic, own).is_none() {
-                    // Another program may publish the topic, too.
+                let is_new = self.own.insert(topic, own).is_none();
+                let is_passed = (self.position)
+                    .is_some_and(|Position(run, number)| run == kept.at.0 && number > kept.at.1);
+                if is_new && is_passed {
+                    // Another program may have published the topic meanwhile. The answer to the question before does not contain that.
+                    (self.position, self.asking) = (Some(kept.at), None);
+                }
+                if is_new {
                     self.ask_at.get_or_insert(now + TOGETHER);
                 }
             }
@@ -184,6 +191,13 @@ impl ProgramState {
                 self.own.remove(&topic);
             }
         }
+    }
+
+    /// Returns the values of this program that the router keeps.
+    #[cfg(test)]
+    pub(super) fn own(&self) -> impl Iterator<Item = (&Topic, Origin)> {
+        let own = self.own.iter();
+        own.map(|(topic, own)| (topic, own.value.origin))
     }
 
     fn question(&self) -> Order {
@@ -253,12 +267,8 @@ impl ProgramState {
     /// Gives the values of this program to a router that has been restarted.
     fn give_back(&mut self, now: Instant) {
         let orders = self.own.iter().map(|(topic, own)| {
-            let age = now.saturating_duration_since(own.since).as_millis();
-            let order = Order::Set(NewValue {
-                age_ms: u64::try_from(age).unwrap_or(u64::MAX),
-                ..own.value.clone()
-            });
-            (topic.clone(), order)
+            let age = now.saturating_duration_since(own.since);
+            (topic.clone(), Order::Set(own.value.clone()).after(age))
         });
         let orders: Vec<_> = orders.collect();
         for (topic, order) in orders {
@@ -272,6 +282,9 @@ impl ProgramState {
             let kept = reply.ok().and_then(|reply| read::<Kept>(&reply.bytes).ok());
             if let (Some(own), Some(kept)) = (self.own.get_mut(&topic), kept) {
                 own.value.kept = Some(kept.at);
+                if kept.is_replaced {
+                    self.own.remove(&topic);
+                }
             }
             return;
         }

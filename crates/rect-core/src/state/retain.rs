@@ -6,7 +6,7 @@ use super::{
     program::order_to,
 };
 use crate::{
-    driver::{Action, Driver, Event, Get, Id, Reaction, Step},
+    driver::{Action, Driver, Event, Id, Reaction, Step},
     message::{
         payload::Payload,
         request::{error_from_payload, is_timeout},
@@ -46,7 +46,9 @@ pub enum Outcome {
 /// The publication of a retained message, or the end of a topic.
 #[derive(Debug)]
 pub struct Retain {
-    get: Get,
+    place: KeySpace,
+    order: Order,
+    begun: Instant,
     until: Instant,
     attempts: usize,
     ask_at: Option<Instant>,
@@ -57,7 +59,9 @@ impl Retain {
     /// Creates the publication by a program of the robot of `place`.
     pub fn new(place: &KeySpace, order: &Order, now: Instant) -> Self {
         Self {
-            get: order_to(place, order, TIMEOUT),
+            place: place.clone(),
+            order: order.clone(),
+            begun: now,
             until: now + WITHIN,
             attempts: 0,
             ask_at: Some(now),
@@ -104,7 +108,8 @@ impl Driver for Retain {
         }
         if self.ask_at.is_some_and(|at| at <= now) {
             self.ask_at = None;
-            let get = self.get.clone();
+            let order = self.order.after(now.saturating_duration_since(self.begun));
+            let get = order_to(&self.place, &order, TIMEOUT);
             return Step::Act(Action::Get { id: QUERY, get });
         }
         Step::Wait(self.ask_at)

@@ -43,6 +43,8 @@ pub(super) struct Entry {
     /// Its position at its keeper: of a copy at the router that it is a copy of, of an own value at an earlier run of this router.
     pub kept: Option<Position>,
     pub disk: bool,
+    /// Whether it comes from the disk, and no program has given it since.
+    pub is_loaded: bool,
 }
 
 /// Why a value is not kept.
@@ -92,11 +94,6 @@ impl Store {
     /// Returns the entries of a robot.
     pub(super) fn of<'a>(&'a self, robot: &'a Name) -> impl Iterator<Item = (&'a Key, &'a Entry)> {
         self.entries.iter().filter(move |((of, _), _)| of == robot)
-    }
-
-    /// Returns whether there is a value of the robot.
-    pub(super) fn has_values_of(&self, robot: &Name) -> bool {
-        self.sizes.contains_key(robot)
     }
 
     /// Stores a value, or that there is none any more, with the next number, which it returns.
@@ -301,6 +298,7 @@ impl Entry {
             has_ended: value.has_ended,
             kept,
             disk: false,
+            is_loaded: false,
         }
     }
 }

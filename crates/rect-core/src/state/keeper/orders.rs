@@ -85,11 +85,15 @@ impl StateKeeper {
                     has_ended: false,
                     kept: value.kept,
                     disk: value.disk,
+                    is_loaded: false,
                 };
                 (entry, value.kept.is_some())
             }
             Order::Forget {
-                origin, sent_ms, ..
+                origin,
+                sent_ms,
+                age_ms,
+                ..
             } => {
                 let entry = Entry {
                     number: 0,
@@ -97,41 +101,48 @@ impl StateKeeper {
                     payload: None,
                     urgency: Urgency::Normal,
                     sent_ms,
-                    since: now,
+                    since: before(now, Duration::from_millis(age_ms)),
                     has_ended: false,
                     kept: None,
                     disk: false,
+                    is_loaded: false,
                 };
                 (entry, false)
             }
             Order::Poll { .. } | Order::Latest { .. } => return Err("no value".to_owned()),
         };
-        let kept = |number| Kept {
+        let kept = |number, is_replaced| Kept {
             at: Position(self.run, number),
             warning: None,
+            is_replaced,
         };
         if let Some(existing) = existing {
             // It was repeated because the reply was lost, or the program comes back.
             if existing.origin == entry.origin {
-                let kept = kept(existing.number);
+                let kept = kept(existing.number, false);
                 let has_ended = existing.has_ended;
-                self.store
-                    .update(&key, has_ended, |existing| existing.has_ended = false);
+                self.store.update(&key, has_ended, |existing| {
+                    (existing.has_ended, existing.is_loaded) = (false, false);
+                    // The program measures with a clock that nobody sets.
+                    existing.since = entry.since;
+                });
                 return Ok(kept);
             }
-            if is_restored && is_newer(existing.kept, entry.kept) {
-                return Ok(kept(existing.number));
+            if is_newer(existing, &entry) {
+                return Ok(kept(existing.number, true));
             }
         }
         let had_value = existing.is_some_and(|existing| existing.payload.is_some());
         if !self.programs.contains_key(&entry.origin.0) {
             self.polls.expect(entry.origin.0, now);
         }
-        if entry.payload.is_none() && !had_value {
-            return Ok(kept(self.store.last()));
+        // A program may give back a value that this router does not know yet.
+        if entry.payload.is_none() && !had_value && self.grace.is_none() {
+            return Ok(kept(self.store.last(), false));
         }
         let was_on_disk = existing.is_some_and(|existing| existing.disk);
         let is_on_disk = entry.disk || was_on_disk;
+        let has_value = entry.payload.is_some();
         let (payload, qos) = (entry.payload.clone(), entry.qos());
         let warning = self.not_on_disk.clone().filter(|_| entry.disk);
         match self.store.put(key.clone(), entry) {
@@ -140,7 +151,7 @@ impl StateKeeper {
                     // Before it is published: after a crash, nobody gets an older value than others had.
                     self.items.push_back(Item::Save(self.saved(now)));
                 }
-                if !is_restored {
+                if !is_restored && (had_value || has_value) {
                     self.publish(&key);
                 }
                 self.announce();
@@ -148,6 +159,7 @@ impl StateKeeper {
                 Ok(Kept {
                     at: Position(self.run, number),
                     warning,
+                    is_replaced: false,
                 })
             }
             Err(full) => {
@@ -178,13 +190,13 @@ impl StateKeeper {
     }
 }
 
-/// Returns whether a value that is kept is newer than one that a program gives back. Positions of two runs cannot be compared; then the
-/// program's is taken, since a program that is alive has sent it.
-fn is_newer(kept: Option<Position>, returned: Option<Position>) -> bool {
-    match (kept, returned) {
-        // It was published since this router has started.
-        (None, _) => true,
-        (Some(Position(run, number)), Some(Position(other, at))) => run == other && number >= at,
-        (Some(_), None) => false,
+/// Returns whether a value that is kept is newer than one that a program gives, again or late. Positions of two runs cannot be compared.
+/// But the router was restarted between them, so that their ages differ by more than a message takes.
+fn is_newer(kept: &Entry, given: &Entry) -> bool {
+    match (kept.kept, given.kept) {
+        (Some(Position(run, number)), Some(Position(other, at))) if run == other => number >= at,
+        // A call that waited for this router began after the disk was written.
+        (_, None) if kept.is_loaded => false,
+        _ => kept.since > given.since,
     }
 }

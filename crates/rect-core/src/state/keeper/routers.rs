@@ -261,6 +261,18 @@ impl StateKeeper {
         }
     }
 
+    /// Handles that a robot has forgotten all of its values. The programs of this robot learn that as a whole.
+    pub(super) fn on_emptied(&mut self, robot: &Name) {
+        let copies: Vec<_> = self.store.of(robot).map(|(key, _)| key.clone()).collect();
+        for key in copies {
+            self.store.remove(&key);
+        }
+        let number = self.store.bump();
+        if let Some(copied) = self.copies.get_mut(robot) {
+            copied.complete_at = number;
+        }
+    }
+
     /// Forgets the copies of those topics that are not of that run of a robot's router.
     pub(super) fn forget_others(
         &mut self,
