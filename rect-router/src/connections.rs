@@ -3,7 +3,7 @@ mod connection;
 mod edit;
 mod fleet;
 mod observed;
-mod store;
+mod revision;
 mod watcher;
 
 use std::{
@@ -17,15 +17,15 @@ use std::{
 
 use parking_lot::Mutex;
 use rect_connections::{
-    file::{self, FileContents, FileError, Limits},
+    file::{self, FileContents, FileError, Limits, MAX_BYTES},
     option_files,
     spec::Spec,
     AutoConnect, AutoConnectRule,
 };
+use rect_core::storage::ReplacedFile;
 use serde::Serialize;
 use zenoh_link_placeholder::Placeholders;
 
-pub(crate) use self::store::Store;
 pub use self::{
     connection::{link, LastError, LinkEnds, Snapshot},
     edit::{Edit, EditError},
@@ -34,7 +34,7 @@ pub use self::{
 };
 use self::{
     connection::{ConnectionDialler, NamedConnection},
-    store::revision,
+    revision::revision,
 };
 use crate::config::Settings;
 
@@ -52,7 +52,7 @@ pub struct Connections {
     path: PathBuf,
     limits: Limits,
     /// The connections file; locked while it is read or replaced, so that changes are applied one after the other.
-    store: Mutex<Store>,
+    store: Mutex<ReplacedFile>,
     placeholders: Arc<Placeholders>,
     by_name: Mutex<BTreeMap<String, Entry>>,
     fleet: Arc<FleetConnector>,
@@ -91,7 +91,7 @@ impl Connections {
                 max_connections: settings.max_connections,
                 option_folders: option_files::folders(path, &settings.option_folders),
             },
-            store: Mutex::new(Store::new(path)),
+            store: Mutex::new(ReplacedFile::new(path)),
             placeholders: Placeholders::new(settings.max_connections),
             by_name: Mutex::default(),
             fleet,
@@ -145,7 +145,7 @@ impl Connections {
     /// # Errors
     /// Fails if the file cannot be read.
     pub fn text(&self) -> io::Result<(String, String)> {
-        let text = self.store.lock().read()?;
+        let text = self.store.lock().read(MAX_BYTES)?;
         let revision = revision(&text);
         Ok((text, revision))
     }
@@ -158,7 +158,7 @@ impl Connections {
     /// # Errors
     /// Fails if `expected` is given and is not the revision of the file, if the edit or its result is invalid, or if the file
     /// cannot be written. The connections are unchanged then, and so is the file, with the exception that
-    /// `Store::replace` describes.
+    /// [`ReplacedFile::replace`] describes.
     pub fn edit(
         &self,
         edit: &Edit,
@@ -167,12 +167,12 @@ impl Connections {
     ) -> Result<(), EditError> {
         let store = self.store.lock();
         if let Some(expected) = expected {
-            let now = revision(&store.read()?);
+            let now = revision(&store.read(MAX_BYTES)?);
             if now != expected {
                 return Err(EditError::Outdated { now });
             }
         }
-        let text = edit.applied(|| store.read(), &self.limits)?;
+        let text = edit.applied(|| store.read(MAX_BYTES), &self.limits)?;
         let contents = file::parse(&text, &self.limits)?;
         store.replace(text.as_bytes())?;
         let changes = self.difference(&self.rule_of(&contents), &contents.connections);

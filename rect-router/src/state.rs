@@ -5,14 +5,14 @@ use std::{
 };
 
 use rect::{KeptState, Save};
-use rect_connections::regular_file;
 use rect_core::{
     name::key::KeySpace,
     state::keeper::{Disk, IsServed},
+    storage::{regular_file, ReplacedFile},
 };
 use zenoh::Session;
 
-use crate::{config::Settings, connections::Store};
+use crate::config::Settings;
 
 /// The name of the file, in the folder of the connections file, unless the settings name another one.
 const FILE: &str = "retained.cbor";
@@ -42,9 +42,9 @@ pub fn serve(
                     path.display()
                 );
             }
-            let store = Store::new(&path);
+            let file = ReplacedFile::new(&path);
             let save = move |bytes: &[u8]| {
-                let replaced = store.replace(bytes);
+                let replaced = file.replace(bytes);
                 replaced.map_err(|error| format!("{}: {error}", path.display()))
             };
             (Disk::Saved(saved.unwrap_or_default()), Box::new(save))

@@ -14,8 +14,10 @@ use jsonc_parser::{
     parse_to_ast, ParseOptions,
 };
 
+use rect_core::storage::regular_file;
+
 use crate::{
-    option_files, regular_file,
+    option_files,
     spec::{RawSpec, Spec, SpecError},
     AutoConnect, MAX_AUTO_LINKS,
 };

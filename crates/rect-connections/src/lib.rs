@@ -4,7 +4,6 @@
 mod auto_connect;
 pub mod file;
 pub mod option_files;
-pub mod regular_file;
 pub mod spec;
 
 pub use self::auto_connect::{AutoConnect, AutoConnectRule, MAX_AUTO_LINKS};

@@ -5,11 +5,9 @@ use std::{
     path::{Component, Path, PathBuf},
 };
 
-use rect_core::text::humanize;
+use rect_core::{storage::regular_file, text::humanize};
 use zenoh_config::EndPoint;
 use zenoh_link_ble::secret_file;
-
-use crate::regular_file;
 
 /// The folder of the configuration that `rect-router init` writes.
 const CONFIGURATION: &str = "/etc/rect";

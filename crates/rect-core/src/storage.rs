@@ -1,10 +1,14 @@
-//! Reads and writes the files of transfers: what is sent ([`Source`]), and what is received ([`Store`]). Apart
-//! from the files of dictionaries, all disk I/O of the protocol is here. This module does not depend on Zenoh.
+//! Reads and writes files: those of transfers, what is sent ([`Source`]) and what is received ([`Store`]), and small ones that are
+//! replaced as a whole ([`ReplacedFile`]). Apart from the files of dictionaries, all disk I/O of the protocol is here. This module does
+//! not depend on Zenoh.
 mod files;
+pub mod regular_file;
+mod replaced_file;
 mod source;
 mod store;
 
 pub use files::{Concluded, Files};
+pub use replaced_file::ReplacedFile;
 pub use source::Source;
 pub use store::{Content, Store};
 

@@ -6,7 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use rect_connections::regular_file;
+use rect_core::storage::regular_file;
 use rect_core::session::login;
 use zenoh::Config;
 

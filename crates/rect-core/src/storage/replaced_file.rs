@@ -1,5 +1,4 @@
-//! Reads and replaces the connections file atomically: after a power failure at any moment, the file has either the old text
-//! or the new one.
+//! Reads and replaces a small file atomically: after a power failure at any moment, the file has either the old text or the new one.
 use std::{
     ffi::OsString,
     fs::{self, File},
@@ -7,8 +6,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use rect_connections::{file::MAX_BYTES, regular_file};
-use sha2::{Digest, Sha256};
+use super::regular_file;
 
 /// Prefix of the name of a temporary file, followed by the name of the file that it replaces and a dash.
 const TEMPORARY_PREFIX: &str = ".new-";
@@ -26,24 +24,30 @@ enum Step {
 }
 
 /// A file that is replaced as a whole.
-pub struct Store {
+#[derive(Clone, Debug)]
+pub struct ReplacedFile {
     path: PathBuf,
 }
 
-impl Store {
-    /// Creates a store for the file at `path`, which need not exist yet.
+impl ReplacedFile {
+    /// Names the file at `path`, which need not exist yet.
     pub fn new(path: &Path) -> Self {
         Self {
             path: path.to_owned(),
         }
     }
 
+    /// Returns the path.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
     /// Returns the text of the file; an empty text if there is no file.
     ///
     /// # Errors
-    /// Fails if the file is not a regular file, cannot be read, or is larger than 1 MiB.
-    pub fn read(&self) -> io::Result<String> {
-        match regular_file::read_to_string(&self.path, MAX_BYTES) {
+    /// Fails if the file is not a regular file, cannot be read, or is larger than `max_bytes`.
+    pub fn read(&self, max_bytes: u64) -> io::Result<String> {
+        match regular_file::read_to_string(&self.path, max_bytes) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(String::new()),
             read => read,
         }
@@ -150,16 +154,6 @@ struct Target {
     prefix: OsString,
 }
 
-/// Returns the revision of a text for `expect=`: the first 8 bytes of its SHA-256 in hexadecimal.
-pub fn revision(text: &str) -> String {
-    let digest = Sha256::digest(text.as_bytes());
-    digest
-        .iter()
-        .take(8)
-        .map(|byte| format!("{byte:02x}"))
-        .collect()
-}
-
 #[cfg(test)]
 mod tests {
     use std::os::unix::fs::PermissionsExt;
@@ -171,22 +165,22 @@ mod tests {
         use Step::{Created, InPlace, OnDisk, Recorded, Written};
         for interrupted_after in [Created, Written, OnDisk, InPlace, Recorded] {
             let folder = tempfile::tempdir().expect("a folder");
-            let store = Store::new(&folder.path().join("connections.json"));
-            assert_eq!(store.read().expect("nothing yet"), "");
-            store.replace("old").expect("written");
-            let result = store.replace_in_steps(b"new", |step| match step == interrupted_after {
+            let replaced = ReplacedFile::new(&folder.path().join("connections.json"));
+            assert_eq!(replaced.read(1000).expect("nothing yet"), "");
+            replaced.replace("old").expect("written");
+            let result = replaced.replace_in_steps(b"new", |step| match step == interrupted_after {
                 true => Err(io::Error::other("power failure")),
                 false => Ok(()),
             });
             assert!(result.is_err());
             let is_new = matches!(interrupted_after, InPlace | Recorded);
             assert_eq!(
-                store.read().expect("exists"),
+                replaced.read(1000).expect("exists"),
                 if is_new { "new" } else { "old" }
             );
             // A leftover temporary file does not disturb the next replacement.
-            store.replace("newer").expect("written");
-            assert_eq!(store.read().expect("exists"), "newer");
+            replaced.replace("newer").expect("written");
+            assert_eq!(replaced.read(1000).expect("exists"), "newer");
         }
     }
 
@@ -194,10 +188,10 @@ mod tests {
     fn replacing_preserves_the_permissions() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("connections.json");
-        let store = Store::new(&path);
-        store.replace("old").expect("written");
+        let replaced = ReplacedFile::new(&path);
+        replaced.replace("old").expect("written");
         fs::set_permissions(&path, fs::Permissions::from_mode(0o640)).expect("set");
-        store.replace("new").expect("written");
+        replaced.replace("new").expect("written");
         let mode = fs::metadata(&path).expect("exists").permissions().mode();
         assert_eq!(mode & 0o777, 0o640);
     }
@@ -212,10 +206,10 @@ mod tests {
             folder.path().join("connections.json"),
         );
         std::os::unix::fs::symlink("real/list.json", &link).expect("a link");
-        let store = Store::new(&link);
+        let replaced = ReplacedFile::new(&link);
         // The first replacement creates the file.
         for text in ["first", "second"] {
-            store.replace(text).expect("written");
+            replaced.replace(text).expect("written");
             assert!(fs::symlink_metadata(&link).expect("exists").is_symlink());
             assert_eq!(fs::read_to_string(&file).expect("exists"), text);
         }
@@ -225,8 +219,8 @@ mod tests {
     fn removes_only_temporary_files_of_killed_processes() {
         let folder = tempfile::tempdir().expect("a folder");
         let in_folder = |name: &str| folder.path().join(name);
-        let store = Store::new(&in_folder("connections.json"));
-        store.replace("text").expect("written");
+        let replaced = ReplacedFile::new(&in_folder("connections.json"));
+        replaced.replace("text").expect("written");
         let others = [
             "connections.json",
             ".new-connections.json",
@@ -238,7 +232,7 @@ mod tests {
             fs::write(in_folder(name), "text").expect("written");
         }
         fs::write(in_folder(".new-connections.json-aBc123"), "half a te").expect("written");
-        assert_eq!(store.remove_leftovers().expect("removed"), 1);
+        assert_eq!(replaced.remove_leftovers().expect("removed"), 1);
         assert!(others.iter().all(|name| in_folder(name).exists()));
         assert_eq!(
             fs::read_dir(folder.path()).expect("exists").count(),
@@ -251,15 +245,8 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let path = folder.path().join("connections.json");
         nix::unistd::mkfifo(&path, nix::sys::stat::Mode::S_IRWXU).expect("a pipe");
-        let store = Store::new(&path);
-        assert!(store.read().is_err() && store.replace("text").is_err());
+        let replaced = ReplacedFile::new(&path);
+        assert!(replaced.read(1000).is_err() && replaced.replace("text").is_err());
         assert!(!fs::metadata(&path).expect("exists").is_file());
-    }
-
-    #[test]
-    fn different_texts_have_different_revisions() {
-        assert_eq!(revision("a"), revision("a"));
-        assert_ne!(revision("a"), revision("b"));
-        assert_eq!(revision("").len(), 16);
     }
 }

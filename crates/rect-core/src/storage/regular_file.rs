@@ -6,7 +6,7 @@ use std::{
     path::Path,
 };
 
-use nix::libc::O_NONBLOCK;
+use libc::O_NONBLOCK;
 
 /// Opens a regular file for reading. Does not block.
 ///
