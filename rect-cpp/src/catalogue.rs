@@ -55,7 +55,7 @@ fn into_c(programs: Vec<rect::Program>) -> Services {
     let mut views = Vec::new();
     for program in &programs {
         let name = Text::of_some(program.name.as_ref().map(Name::as_str));
-        views.extend(program.services.iter().map(|service| ServiceEntry {
+        views.extend(program.requestable().map(|service| ServiceEntry {
             topic: Text::of(service.topic.as_str()),
             program: name,
             about: Text::of(&service.about),

@@ -151,10 +151,11 @@ pub fn program_name(file: &str) -> Option<String> {
 pub fn read_catalogue(py: Python<'_>, bytes: &[u8]) -> PyResult<Vec<ProgramParts>> {
     let programs = catalogue::read(bytes)
         .map_err(|error| raised(py, "PayloadError", (error.to_string(), "read")))?;
-    let parts = |entry: ServiceEntry| (entry.topic.to_string(), entry.about, entry.several);
+    let parts =
+        |entry: &ServiceEntry| (entry.topic.to_string(), entry.about.clone(), entry.several);
     let programs = programs.into_iter().map(|program| {
-        let name = program.name.map(|name| name.to_string());
-        let services = program.services.into_iter().map(parts);
+        let name = program.name.as_ref().map(ToString::to_string);
+        let services = program.requestable().map(parts);
         (name, program.instance.to_string(), services.collect())
     });
     Ok(programs.collect())

@@ -57,7 +57,7 @@ pub async fn programs(arguments: ProgramArguments) -> Done {
         let mut table = Table::new(&["PROGRAM", "SERVICES"]);
         for (robot, programs) in catalogues {
             for program in programs {
-                let topics: Vec<_> = (program.services.iter())
+                let topics: Vec<_> = (program.requestable())
                     .map(|service| service.topic.as_str())
                     .collect();
                 let topics = if topics.is_empty() {
@@ -80,7 +80,7 @@ pub async fn services(arguments: ServiceArguments) -> Done {
         let mut table = Table::new(&["SERVICE", "PROGRAM", "?ABOUT"]);
         for (robot, programs) in catalogues {
             for program in programs {
-                for service in &program.services {
+                for service in program.requestable() {
                     table.row(vec![
                         Cell::styled(Style::Name, format!("{robot}/{}", service.topic)),
                         program.name.as_ref().map_or("-", Name::as_str).into(),

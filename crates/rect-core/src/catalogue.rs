@@ -12,7 +12,10 @@ pub mod token;
 use serde::{Deserialize, Serialize};
 
 pub use crate::name::{instance::Instance, key::CATALOGUE};
-use crate::name::{topic::Topic, Name};
+use crate::{
+    name::{topic::Topic, Name},
+    parameters::Declaration,
+};
 
 /// The part after `@rect/` of the key at which a program registers. Access control grants it separately (`@set`).
 pub const REGISTER: &str = "@set/program";
@@ -36,6 +39,9 @@ pub struct ServiceEntry {
     /// Whether other programs of the robot may serve the same topic. Then each of them answers.
     #[serde(skip_serializing_if = "is_false")]
     pub several: bool,
+    /// The parameters that are changed there, if it is no ordinary service.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub parameters: Option<Declaration>,
 }
 
 /// A program of a robot.
@@ -71,6 +77,25 @@ struct ServiceDocument {
     about: String,
     #[serde(default)]
     several: bool,
+    #[serde(default)]
+    parameters: Option<Declaration>,
+}
+
+impl ServiceDocument {
+    fn checked(self) -> Result<ServiceEntry, CatalogueError> {
+        let wrong = |error: String| CatalogueError(error);
+        let Some(parameters) = self.parameters else {
+            let topic = Topic::new(&self.topic).map_err(|error| wrong(error.to_string()))?;
+            return Ok(ServiceEntry::new(topic, &self.about, self.several));
+        };
+        let group = self.topic.rsplit('/').next().and_then(Topic::of_parameters);
+        let topic = group.filter(|topic| topic.as_str() == self.topic);
+        let topic = topic.ok_or_else(|| wrong(format!("{:?} cannot have parameters", self.topic)))?;
+        Ok(ServiceEntry {
+            parameters: Some(parameters),
+            ..ServiceEntry::new(topic, &self.about, false)
+        })
+    }
 }
 
 impl ServiceEntry {
@@ -82,7 +107,16 @@ impl ServiceEntry {
             topic,
             about: about.chars().map(printable).collect(),
             several,
+            parameters: None,
         }
+    }
+
+    /// Creates a group of parameters. `None` if its name is invalid.
+    pub fn of_parameters(group: &str, about: &str, declaration: Declaration) -> Option<Self> {
+        Some(Self {
+            parameters: Some(declaration),
+            ..Self::new(Topic::of_parameters(group)?, about, false)
+        })
     }
 
     /// Returns whether two services cannot exist at the same time, because they have one topic and do not both allow that.
@@ -113,6 +147,17 @@ impl Program {
         self.services.insert(at, service);
     }
 
+    /// Returns the program's groups of parameters with their declarations.
+    pub fn parameters(&self) -> impl Iterator<Item = (&str, &Declaration)> {
+        let services = self.services.iter();
+        services.filter_map(|service| Some((service.topic.parameters()?, service.parameters.as_ref()?)))
+    }
+
+    /// Returns the program's services for requests.
+    pub fn requestable(&self) -> impl Iterator<Item = &ServiceEntry> {
+        self.services.iter().filter(|service| service.parameters.is_none())
+    }
+
     /// Returns whether the program serves a topic.
     pub fn serves(&self, topic: &Topic) -> bool {
         self.services.iter().any(|service| service.topic == *topic)
@@ -133,16 +178,16 @@ impl Program {
             )));
         }
         let name = document.program.as_deref().map(Name::new).transpose();
-        let services = document.services.into_iter().map(|service| {
-            let topic = Topic::new(&service.topic)?;
-            Ok(ServiceEntry::new(topic, &service.about, service.several))
-        });
-        let services = services.collect::<Result<Vec<_>, crate::name::topic::TopicError>>();
+        let services = document
+            .services
+            .into_iter()
+            .map(ServiceDocument::checked);
+        let services = services.collect::<Result<Vec<_>, _>>();
         Ok(Self {
             name: name.map_err(|error| CatalogueError(error.to_string()))?,
             instance: Instance::parse(&document.instance)
                 .ok_or_else(|| CatalogueError("an instance has 8 hexadecimal digits".to_owned()))?,
-            services: services.map_err(|error| CatalogueError(error.to_string()))?,
+            services: services?,
         })
     }
 }

@@ -2,7 +2,7 @@
 //! implementation.
 //!
 //! [`message`] describes messages and their metadata, [`name`] who sends them and where they go, and [`codec`] makes their
-//! payloads smaller. [`session`], [`registry`], [`retry`], [`state`], [`stream`] and [`transfer`] make the decisions of a session: plain structs and
+//! payloads smaller. [`session`], [`parameters`], [`registry`], [`retry`], [`state`], [`stream`] and [`transfer`] make the decisions of a session: plain structs and
 //! functions decide about a single call, and a [`driver`] decides what takes more than one call to Zenoh. [`storage`] reads
 //! and writes the files of transfers.
 pub mod catalogue;
@@ -12,6 +12,7 @@ pub mod codec;
 pub mod driver;
 pub mod message;
 pub mod name;
+pub mod parameters;
 pub mod registry;
 pub mod retry;
 pub mod session;

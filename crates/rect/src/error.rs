@@ -10,7 +10,7 @@ use rect_core::{
     },
     session::{
         login::LoginRefused,
-        names::{interrupted, no_service, not_reachable},
+        names::{interrupted, no_parameters, no_service, not_reachable},
         router::WrongRobot,
     },
     stream::options::OptionError,
@@ -110,6 +110,31 @@ pub enum Error {
     /// do.
     #[error("{reason}")]
     ServiceRefused {
+        /// The reason.
+        reason: String,
+    },
+    /// A declaration of parameters is invalid, or one of this program's own values is refused. The reason states what to do.
+    #[error("{reason}")]
+    Parameters {
+        /// The reason.
+        reason: String,
+    },
+    /// No program of the robot has the group of parameters. Is its program running? A robot that was configured by an earlier version
+    /// lacks the rule for `@rect/@set/parameters/**` in its access control.
+    #[error("{}", no_parameters(.robot, .group, .available))]
+    NoParameters {
+        /// The robot.
+        robot: Name,
+        /// The group.
+        group: String,
+        /// The groups of the robot.
+        available: Vec<String>,
+    },
+    /// The values are in force, but are lost when the program of the robot ends. The reason names the file, if there is one.
+    #[error("{robot} uses the values, and has not stored them: {reason}")]
+    NotStored {
+        /// The robot.
+        robot: Name,
         /// The reason.
         reason: String,
     },

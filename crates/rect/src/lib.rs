@@ -48,6 +48,7 @@ pub use rect_core::{
         topic::{Pattern, RobotTopic, Topic, TopicError},
         Name, NameError,
     },
+    parameters::{Change, Changed, Parameter, Value as ParameterValue},
     registry::{
         connection::{
             Connection, ConnectionState, Event, Link, LinkPath, LinkPathState, PathSwitch, PeerId,
@@ -65,6 +66,7 @@ pub use rect_core::{
     },
     transfer::{Fault, Offer, OfferError, Progress, Refusal},
 };
+pub use rect_derive::Parameters;
 #[cfg(feature = "recording")]
 pub use rect_recording as recording;
 /// A value of any type, for programs that do not know which one arrives: what JSON can express.

@@ -10,6 +10,7 @@ mod gathered;
 mod name_check;
 mod next_item;
 mod options;
+mod parameters;
 mod publication;
 mod publisher;
 mod querier;
@@ -42,6 +43,7 @@ mod warnings;
 pub use events::Events;
 pub use gathered::{Gathered, Outcome};
 pub use options::{connect, Options};
+pub use parameters::{GroupOptions, ParameterField, ParameterGroup, ParameterOrder, Parameters};
 pub use publisher::Publisher;
 #[cfg(feature = "recording")]
 pub use recorded::Recorded;

@@ -175,10 +175,13 @@ impl Keeper {
 
 /// Returns about how many bytes services take in the catalogue.
 fn size(services: &[ServiceEntry]) -> usize {
-    services
-        .iter()
-        .map(|service| 40 + service.topic.as_str().len() + 2 * service.about.len())
-        .sum()
+    let size = |service: &ServiceEntry| {
+        let parameters = service.parameters.as_ref();
+        let json = parameters.map(|parameters| serde_json::to_vec(parameters).unwrap_or_default());
+        let parameters = json.map_or(0, |json| json.len());
+        40 + service.topic.as_str().len() + 2 * service.about.len() + parameters
+    };
+    services.iter().map(size).sum()
 }
 
 #[cfg(test)]

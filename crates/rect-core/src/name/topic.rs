@@ -5,10 +5,13 @@ use std::{fmt, str::FromStr, sync::Arc};
 use zenoh_keyexpr::{canon::Canonize, keyexpr};
 
 use super::{Name, NameError};
-use crate::text::display::is_harmful;
+use crate::{parameters::is_name, text::display::is_harmful};
 
 /// The maximum length of a topic, in bytes. The topic is sent with every message whose key is not declared.
 pub const MAX_BYTES: usize = 200;
+
+/// The beginning of the topics at which groups of parameters are changed. Access control grants it separately (`@set`).
+const PARAMETERS: &str = "@rect/@set/parameters/";
 
 /// The part of a key that precedes the recipient of a message to one robot.
 pub(super) const TO: &str = "to";
@@ -120,6 +123,16 @@ impl Topic {
             return Err(TopicError::Wildcard(text.to_owned()));
         }
         Ok(Self(text.into()))
+    }
+
+    /// Returns the internal topic at which a program serves changes of a group of parameters. `None` if the name of the group is invalid.
+    pub fn of_parameters(group: &str) -> Option<Self> {
+        is_name(group).then(|| Self(format!("{PARAMETERS}{group}").into()))
+    }
+
+    /// Returns the group of parameters whose changes are served here.
+    pub fn parameters(&self) -> Option<&str> {
+        self.0.strip_prefix(PARAMETERS)
     }
 
     /// Returns the topic as text.

@@ -45,8 +45,15 @@ pub fn not_reachable(robot: &Name, reachable: &[Name]) -> String {
     format!("{robot} is not reachable; {names}")
 }
 
+/// Returns the error that a robot has no group of parameters of that name.
+pub fn no_parameters(robot: &Name, group: &str, available: &[String]) -> String {
+    let names = available.iter().map(String::as_str);
+    let groups = in_words("its groups", group, names);
+    format!("no program of {robot} has the parameters {group}; {groups}")
+}
+
 /// Returns names in words, and the one that `name` may be a misspelling of: `did you mean arm? (its streams: arm, leg)`.
-pub(super) fn in_words<'a>(
+pub(crate) fn in_words<'a>(
     what: &str,
     name: &str,
     names: impl Iterator<Item = &'a str> + Clone,

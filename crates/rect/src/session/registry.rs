@@ -138,8 +138,9 @@ impl Robot {
         &self,
         robot: impl TryInto<Name, Error: Into<Error>>,
     ) -> Result<Vec<ServiceEntry>, Error> {
-        let programs = self.programs(robot).await?.into_iter();
-        let mut services: Vec<_> = programs.flat_map(|program| program.services).collect();
+        let programs = self.programs(robot).await?;
+        let services = programs.iter().flat_map(Program::requestable).cloned();
+        let mut services: Vec<_> = services.collect();
         services.sort_by(|one, other| one.topic.as_str().cmp(other.topic.as_str()));
         Ok(services)
     }

@@ -155,7 +155,14 @@ impl Robot {
         options: ServiceOptions,
     ) -> Result<Requests, Error> {
         let topic: Topic = valid(topic)?;
-        let serving = self.announce(&topic, &options).await?;
+        let entry = ServiceEntry::new(topic, &options.about, options.allow_several);
+        self.requests_of(entry).await
+    }
+
+    /// Declares a service of the catalogue, and returns its requests.
+    pub(super) async fn requests_of(&self, entry: ServiceEntry) -> Result<Requests, Error> {
+        let topic = entry.topic.clone();
+        let serving = self.announce(entry).await?;
         let place = self.inner.place.clone();
         let key = place.publication(&topic);
         let queue = ReceiveQueue::new(Queue::new(CAPACITY, WhenFull::DropNewest));
@@ -228,14 +235,13 @@ impl Robot {
     }
 
     /// Adds a service to the catalogue.
-    async fn announce(&self, topic: &Topic, options: &ServiceOptions) -> Result<Serving, Error> {
+    async fn announce(&self, service: ServiceEntry) -> Result<Serving, Error> {
         let inner = &self.inner;
-        let service = ServiceEntry::new(topic.clone(), &options.about, options.allow_several);
         let refused = |reason| Error::ServiceRefused { reason };
         let program = inner.program.driver().offer(&service).map_err(refused)?;
         let serving = Serving {
             inner: inner.clone(),
-            topic: topic.clone(),
+            topic: service.topic.clone(),
         };
         let registered = if inner.direct {
             Registered::Unanswered

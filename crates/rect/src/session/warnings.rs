@@ -73,7 +73,7 @@ impl Sink<String> for WarningSink {
 }
 
 /// Warns the program through `tracing`, or on standard error if it has no subscriber of `tracing`.
-fn warn(text: &str) {
+pub(super) fn warn(text: &str) {
     if tracing::dispatcher::has_been_set() {
         tracing::warn!(target: "rect", "{text}");
     } else {

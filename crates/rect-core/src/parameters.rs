@@ -1,0 +1,49 @@
+//! Parameters: values of a program that people tune while it runs, such as a gain or a speed limit.
+//!
+//! A program declares a [`group`] of them, with default, range and unit ([`declaration`]). The declaration stands in the catalogue. The
+//! values are a retained message on the topic `parameters/<group>`, so that they are read, recorded and plotted as any state. They are
+//! changed by a request ([`order`]) to an internal key of the robot, which access control grants separately, and kept in a [`file`] that
+//! people can read.
+pub mod declaration;
+pub mod file;
+pub mod group;
+pub mod order;
+#[cfg(test)]
+mod tests;
+pub mod value;
+
+pub use declaration::{Declaration, DeclarationError, Parameter};
+pub use group::{Change, Changed, Group, Values};
+pub use value::Value;
+
+/// The part of a topic that precedes the name of a group.
+pub const TOPIC: &str = "parameters";
+/// The maximum number of parameters in a group.
+pub const MAX_PARAMETERS: usize = 256;
+/// The maximum length of the name of a group or parameter, in characters.
+pub const MAX_NAME: usize = 40;
+/// The maximum length of a text, in bytes.
+pub const MAX_TEXT: usize = 4 << 10;
+/// The maximum number of elements of a list of numbers.
+pub const MAX_NUMBERS: usize = 256;
+/// The maximum size of all values of a group, in bytes.
+pub const MAX_BYTES: usize = 32 << 10;
+
+/// Returns the topic of the values of a group.
+pub fn topic(group: &str) -> String {
+    format!("{TOPIC}/{group}")
+}
+
+/// Returns the error that a text cannot name a group.
+pub fn wrong_group(group: &str) -> String {
+    let group: String = group.chars().take(MAX_NAME).collect();
+    format!("{group:?} cannot be the name of a group: use 1 to {MAX_NAME} letters, digits, `_`, `-` and `.`")
+}
+
+/// Returns whether a text may name a group or a parameter: letters, digits, `_`, `-` and `.`, at most [`MAX_NAME`].
+pub fn is_name(text: &str) -> bool {
+    let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
+    (1..=MAX_NAME).contains(&text.len())
+        && text.chars().all(allowed)
+        && !matches!(text, "." | "..")
+}
