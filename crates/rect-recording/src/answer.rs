@@ -140,6 +140,8 @@ fn question(asked: &str, parameters: &str, now: Duration) -> Result<(Question, b
         Bound::Excluded(time) => time + step,
         Bound::Unbounded => Duration::ZERO,
     };
+    // A question that continues after a message has them already.
+    let retained = is_file && !matches!(range.start, Bound::Excluded(_));
     let until = match range.end {
         Bound::Included(time) => time,
         Bound::Excluded(time) => time.saturating_sub(step),
@@ -151,6 +153,7 @@ fn question(asked: &str, parameters: &str, now: Duration) -> Result<(Question, b
         reports: is_file && topics == ALL,
         begin,
         until,
+        retained,
     };
     Ok((question, is_file))
 }

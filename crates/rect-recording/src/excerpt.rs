@@ -12,6 +12,7 @@ use crate::{
     entry::RetainedKind,
     file::{About, Encoder},
     reader::{end_of, files_of, ReadError, Reader},
+    retained::LastValues,
 };
 
 /// The name of the description that tells the end of the requested time, in nanoseconds since 1970.
@@ -32,6 +33,8 @@ pub struct Question {
     pub begin: Duration,
     /// The last time.
     pub until: Duration,
+    /// Whether the values that were retained before the first time are selected, too.
+    pub retained: bool,
 }
 
 /// Messages of a recording, in the order of recording.
@@ -102,13 +105,21 @@ impl Excerpt {
         }
         let mut excerpt = Self::default();
         let mut bytes = 0;
+        let mut values = LastValues::default();
+        let mut started = None;
         for entry in Reader::of_files(files) {
             let entry = entry?;
+            let begin = *started.get_or_insert(entry.logged.max(question.begin));
+            // The files between two excerpts repeat values, which belong to none of them.
+            let is_repeated = entry.retained == Some(RetainedKind::Repeated);
+            let is_before = entry.logged < begin || is_repeated;
+            if is_before && excerpt.entries.is_empty() && question.matches(&entry.topic) {
+                values.on_entry(entry);
+                continue;
+            }
             if entry.logged > question.until {
                 break;
             }
-            // The files between two excerpts repeat values, which belong to none of them.
-            let is_repeated = entry.retained == Some(RetainedKind::Repeated);
             if is_repeated || !question.selects(&entry) {
                 continue;
             }
@@ -120,6 +131,9 @@ impl Excerpt {
             }
             bytes += entry.bytes();
             excerpt.entries.push(entry);
+        }
+        if let Some(begin) = started.filter(|_| question.retained) {
+            (excerpt.entries).splice(..0, values.repeated(begin));
         }
         Ok(excerpt)
     }
@@ -180,7 +194,76 @@ mod tests {
             reports: false,
             begin: Duration::from_millis(begin_ms),
             until: Duration::from_millis(until_ms),
+            retained: true,
         }
+    }
+
+    #[test]
+    fn begins_with_the_values_that_were_retained_before() {
+        use RetainedKind::{Forgotten, Repeated, Value};
+        let folder = tempfile::tempdir().expect("folder");
+        let folder = folder_of(&folder.path().join("match.mcap"));
+        std::fs::create_dir_all(folder.parent().expect("a folder")).expect("created");
+        let mut segments = Segments::create(folder.clone(), About::new(), None).expect("created");
+        let retained = [
+            (200, "a/mode", Value),
+            (300, "a/map", Value),
+            (9_000, "a/mode", Value),
+        ];
+        let retained = retained.into_iter().chain([(16_000, "a/map", Forgotten)]);
+        let mut retained = retained.peekable();
+        for ms in (0..20_000).step_by(100) {
+            while let Some((_, topic, kind)) = retained.next_if(|(at, ..)| *at == ms) {
+                let retained = Some(kind);
+                let entry = Entry {
+                    retained,
+                    ..entry(topic, ms)
+                };
+                segments.write(entry).expect("written");
+            }
+            segments.write(entry("a/count", ms)).expect("written");
+            segments
+                .on_time(Duration::from_millis(ms))
+                .expect("on time");
+        }
+        segments.flush().expect("flushed");
+        std::mem::forget(segments);
+        let paths = vec![folder];
+        let read = |topics, begin, until, retained| {
+            let question = Question {
+                retained,
+                ..question(topics, begin, until)
+            };
+            let read = Excerpt::read(&paths, &question, usize::MAX, usize::MAX).expect("read");
+            let rows = read
+                .entries
+                .into_iter()
+                .filter(|entry| entry.retained.is_some());
+            let rows = rows.map(|entry| {
+                let value = entry.payload.text().expect("text").to_owned();
+                (
+                    entry.logged.as_millis(),
+                    entry.topic,
+                    value,
+                    entry.retained.expect("kept"),
+                )
+            });
+            rows.collect::<Vec<_>>()
+        };
+        let row =
+            |at, topic: &str, value: &str, kind| (at, topic.to_owned(), value.to_owned(), kind);
+        let old = [
+            row(7_050, "a/map", "300", Repeated),
+            row(7_050, "a/mode", "200", Repeated),
+        ];
+        assert_eq!(read("**", 7_050, 8_000, true), old);
+        assert_eq!(read("**", 7_050, 8_000, false), []);
+        assert_eq!(read("a/mode", 7_050, 8_000, true), old[1..]);
+        let new = row(9_000, "a/mode", "9000", Value);
+        assert_eq!(read("**", 7_050, 9_500, true), [&old[..], &[new]].concat());
+        let last = row(18_000, "a/mode", "9000", Repeated);
+        assert_eq!(read("**", 18_000, 60_000, true), [last]);
+        assert_eq!(read("**", 0, 250, true), [row(200, "a/mode", "200", Value)]);
     }
 
     /// Records a message every 100 ms for 20 s, in segments of 5 s, of which the last one is not complete.

@@ -9,7 +9,7 @@ use rect_core::name::{
 use crate::{
     entry::{address, Entry, RetainedKind},
     remap::{remapped, Remap},
-    retained::Repeats,
+    retained::{LastValues, Repeats},
 };
 
 /// The part of a recording that is replayed, exported or copied.
@@ -32,23 +32,38 @@ impl Selection {
 }
 
 impl Selection {
-    /// Returns the selected messages of a recording.
+    /// Returns the selected messages of a recording. The values that were retained before they begin are the first ones.
     pub fn of<E>(
         self,
         entries: impl Iterator<Item = Result<Entry, E>>,
     ) -> impl Iterator<Item = Result<Entry, E>> {
         let mut started = None;
-        let (begin, end) = (self.begin, self.end);
-        let timed = entries.map(move |entry| {
-            entry.map(|entry: Entry| {
-                let started = *started.get_or_insert(entry.logged);
-                (entry.logged.saturating_sub(started), entry)
-            })
+        let mut earlier = Some(LastValues::default());
+        let selected = entries.map_while(move |entry| {
+            let entry: Entry = match entry {
+                Ok(entry) => entry,
+                Err(error) => return Some((Vec::new(), Some(Err(error)))),
+            };
+            let started = *started.get_or_insert(entry.logged);
+            let begin = started + self.begin;
+            let is_selected = self.matches(&entry);
+            if let Some(earlier) = earlier.as_mut().filter(|_| entry.logged < begin) {
+                if is_selected {
+                    earlier.on_entry(entry);
+                }
+                return Some((Vec::new(), None));
+            }
+            let values = earlier
+                .take()
+                .map(|values| values.repeated(begin).collect());
+            let values: Vec<_> = values.unwrap_or_default();
+            let after = entry.logged.saturating_sub(started);
+            match self.end.is_some_and(|end| after > end) {
+                true => (!values.is_empty()).then_some((values, None)),
+                false => Some((values, is_selected.then_some(Ok(entry)))),
+            }
         });
-        timed
-            .take_while(move |entry| !matches!(entry, Ok((after, _)) if end.is_some_and(|end| *after > end)))
-            .filter(move |entry| !matches!(entry, Ok((after, entry)) if *after < begin || !self.matches(entry)))
-            .map(|entry| entry.map(|(_, entry)| entry))
+        selected.flat_map(|(values, entry)| values.into_iter().map(Ok).chain(entry))
     }
 }
 
@@ -258,6 +273,49 @@ mod tests {
         };
         let rows = [("a/x", 0, "0"), ("a/y", 0, "100"), ("a/x", 50, "300")];
         assert_eq!(replayed(selection, "", None), expected(&rows));
+    }
+
+    #[test]
+    fn part_begins_with_the_values_that_were_retained_before() {
+        use RetainedKind::{Forgotten, Repeated, Value};
+        let kept = |topic, ms, kind| {
+            let retained = Some(kind);
+            entry(topic, ms).map(|entry| Entry { retained, ..entry })
+        };
+        let recorded = [
+            kept("a/mode", 0, Value),
+            kept("a/map", 50, Value),
+            kept("b/mode", 60, Value),
+            entry("a/x", 100),
+            kept("a/map", 200, Forgotten),
+            kept("a/mode", 250, Value),
+            entry("a/x", 300),
+            kept("a/mode", 400, Value),
+            entry("a/x", 500),
+        ];
+        let part = |begin, end| {
+            let selection = Selection {
+                patterns: vec![Pattern::new("a/*").expect("a pattern")],
+                begin: Duration::from_millis(begin),
+                end: Some(Duration::from_millis(end)),
+            };
+            let entries = selection.of(recorded.clone().into_iter());
+            let rows = entries.map(|entry| {
+                let entry = entry.expect("no error");
+                let at = entry.logged.as_millis() as u64 - 1_000_000;
+                let text = entry.payload.text().expect("text").to_owned();
+                (entry.topic, at, text, entry.retained)
+            });
+            rows.collect::<Vec<_>>()
+        };
+        let row = |topic: &str, at, text: &str, kind| (topic.to_owned(), at, text.to_owned(), kind);
+        let old = row("a/mode", 150, "0", Some(Repeated));
+        let map = row("a/map", 150, "50", Some(Repeated));
+        assert_eq!(part(150, 160), [map, old]);
+        let mode = row("a/mode", 260, "250", Some(Repeated));
+        let x = row("a/x", 300, "300", None);
+        assert_eq!(part(260, 350), [mode, x]);
+        assert_eq!(part(0, 40), [row("a/mode", 0, "0", Some(Value))]);
     }
 
     #[test]
