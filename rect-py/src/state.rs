@@ -12,7 +12,10 @@ use pyo3::{
 };
 use rect_core::{
     clock::unix::ms_since_1970,
-    message::retained::{value::Value, Arrival},
+    message::{
+        attachment::Sent,
+        retained::{value::Value, Arrival},
+    },
     name::topic::Topic,
     state::{
         keeper::{Item, StateKeeper},
@@ -138,14 +141,14 @@ impl ProgramState {
     ) -> PyResult<StateOrder> {
         let (topic, urgency) = (self::topic(topic)?, urgency::parse(py, urgency)?);
         let payload = payload(bytes, encoding);
-        let order = lock(&self.core).set(&topic, payload, urgency, disk, now_ms());
+        let order = lock(&self.core).set(&topic, payload, urgency, disk, now());
         Ok(StateOrder { topic, order })
     }
 
     /// Returns the order to forget a topic. Raises `InvalidTopicError`.
     fn forget(&self, topic: &str) -> PyResult<StateOrder> {
         let topic = self::topic(topic)?;
-        let order = lock(&self.core).forget(&topic, now_ms());
+        let order = lock(&self.core).forget(&topic, now());
         Ok(StateOrder { topic, order })
     }
 
@@ -192,8 +195,8 @@ pub fn state_keeper(key_space: &KeySpace, run: u32) -> Driver {
     Driver::new(keeper, &clock)
 }
 
-fn now_ms() -> u64 {
-    ms_since_1970(SystemTime::now())
+fn now() -> Sent {
+    Sent::At(ms_since_1970(SystemTime::now()))
 }
 
 impl ToPython for Arrival {

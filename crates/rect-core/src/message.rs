@@ -20,7 +20,7 @@ use std::time::{Duration, Instant, SystemTime};
 use zenoh_keyexpr::keyexpr;
 
 use self::{
-    attachment::{Attachment, Sent},
+    attachment::Attachment,
     encoding::Encoding,
     gaps::{Gaps, SenderCounts},
     payload::{FromPayload, Payload, PayloadError},
@@ -262,7 +262,7 @@ impl Inbound {
             None => {
                 self.gaps.on_unnumbered(&message.sender);
                 if let Some(live) = live {
-                    message.sent_at = Sent::At(live.sent_ms).at();
+                    (message.sent_at, message.replayed) = (live.sent.at(), live.sent.is_replayed());
                     message.retained = Some(Retained {
                         is_forgotten: delivered.is_deleted,
                         ..Retained::default()
@@ -282,7 +282,7 @@ impl Inbound {
                 message.publisher = Some(attachment.source);
                 (message.missed, message.late) = (arrival.missed, arrival.late);
                 message.sent_at = attachment.sent.at();
-                message.replayed = matches!(attachment.sent, Sent::Replayed(_));
+                message.replayed = attachment.sent.is_replayed();
                 if let Some((now, lifetime)) = lifetime {
                     let rest = lifetime.checked_sub(arrival.age);
                     let rest = rest.filter(|rest| !rest.is_zero());
@@ -349,7 +349,10 @@ mod tests {
     use std::time::UNIX_EPOCH;
 
     use super::*;
-    use crate::{message::encoding::Encoding, name::topic::Pattern};
+    use crate::{
+        message::{attachment::Sent, encoding::Encoding},
+        name::topic::Pattern,
+    };
 
     fn inbound() -> Inbound {
         let name = |text| Name::new(text).expect("valid name");

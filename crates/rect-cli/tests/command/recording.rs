@@ -310,6 +310,10 @@ fn retained_values_are_recorded_and_retained_again() {
     let received: serde_json::Value = serde_json::from_slice(&received.stdout).expect("JSON");
     assert_eq!(received["value"], "auto");
     assert_eq!(received["retained"]["is_forgotten"], false, "{received}");
+    assert_eq!(received["replayed"], true, "{received}");
+    let played = entries.iter().find(|entry| entry.topic == "a/mode");
+    let sent_ms = played.map(|entry| entry.sent.as_millis());
+    assert_eq!(received["sent_ms"].as_u64().map(u128::from), sent_ms);
 }
 
 #[test]

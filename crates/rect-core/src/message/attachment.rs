@@ -14,6 +14,8 @@ use std::{
     time::{Duration, SystemTime, UNIX_EPOCH},
 };
 
+use serde::{Deserialize, Serialize};
+
 use super::leb128;
 
 const MARK: u8 = 0xF8;
@@ -33,7 +35,7 @@ pub struct Encoded {
 }
 
 /// The time at which a message was sent.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Sent {
     /// The attachment contains no time.
     Unknown,
@@ -48,12 +50,20 @@ pub enum Sent {
 impl Sent {
     /// Returns the whole time. `None` if the attachment does not contain it.
     pub(crate) fn at(self) -> Option<SystemTime> {
+        UNIX_EPOCH.checked_add(Duration::from_millis(self.ms()?))
+    }
+
+    /// Returns the whole time in milliseconds since 1970. `None` if the attachment does not contain it.
+    pub(crate) fn ms(self) -> Option<u64> {
         match self {
-            Self::At(at_ms) | Self::Replayed(at_ms) => {
-                UNIX_EPOCH.checked_add(Duration::from_millis(at_ms))
-            }
+            Self::At(at_ms) | Self::Replayed(at_ms) => Some(at_ms),
             Self::Low(_) | Self::Unknown => None,
         }
+    }
+
+    /// Returns whether the message repeats one of a recording.
+    pub(crate) fn is_replayed(self) -> bool {
+        matches!(self, Self::Replayed(_))
     }
 }
 

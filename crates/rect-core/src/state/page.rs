@@ -7,7 +7,8 @@ use zenoh_keyexpr::{keyexpr, OwnedKeyExpr};
 
 use super::{Origin, Position, MAX_ROBOT, MAX_VALUE};
 use crate::message::{
-    encoding::Encoding, payload::Payload, retained::value::Value, urgency::Urgency,
+    attachment::Sent, encoding::Encoding, payload::Payload, retained::value::Value,
+    urgency::Urgency,
 };
 
 /// The maximum number of key expressions in a question of another router.
@@ -67,8 +68,8 @@ pub enum Order {
         topic: String,
         /// The identity of the change.
         origin: Origin,
-        /// When it was forgotten, in milliseconds since 1970.
-        sent_ms: u64,
+        /// When it was forgotten.
+        sent: Sent,
         /// How many milliseconds ago the program asked for that first.
         #[serde(default)]
         age_ms: u64,
@@ -107,8 +108,8 @@ pub struct NewValue {
     pub topic: String,
     /// The identity of the value.
     pub origin: Origin,
-    /// When it was published, in milliseconds since 1970.
-    pub sent_ms: u64,
+    /// When it was published, by the clock of the program.
+    pub sent: Sent,
     /// Its position at an earlier run of the router, if that had it. Then it is not published again.
     pub kept: Option<Position>,
     /// How many milliseconds ago it was published, or the program gave it to a router first.

@@ -14,6 +14,7 @@ use super::{
 use crate::{
     driver::{Action, Declaration, Driver, Event, Get, Id, Reaction, Step},
     message::{
+        attachment::Sent,
         payload::Payload,
         retained::{value::Value, Arrival, Following},
         urgency::Urgency,
@@ -135,19 +136,19 @@ impl ProgramState {
         Origin(self.run, self.published)
     }
 
-    /// Returns the order to publish and keep a value. `sent_ms` is the time in milliseconds since 1970.
+    /// Returns the order to publish and keep a value.
     pub fn set(
         &mut self,
         topic: &Topic,
         payload: Payload,
         urgency: Urgency,
         disk: bool,
-        sent_ms: u64,
+        sent: Sent,
     ) -> Order {
         Order::Set(NewValue {
             topic: topic.to_string(),
             origin: self.next_origin(),
-            sent_ms,
+            sent,
             kept: None,
             age_ms: 0,
             urgency,
@@ -158,11 +159,11 @@ impl ProgramState {
     }
 
     /// Returns the order to forget a topic.
-    pub fn forget(&mut self, topic: &Topic, sent_ms: u64) -> Order {
+    pub fn forget(&mut self, topic: &Topic, sent: Sent) -> Order {
         Order::Forget {
             topic: topic.to_string(),
             origin: self.next_origin(),
-            sent_ms,
+            sent,
             age_ms: 0,
         }
     }

@@ -13,6 +13,7 @@ use super::{
 };
 use crate::{
     message::{
+        attachment::Sent,
         encoding::Encoding,
         payload::Payload,
         retained::{live::Live, value::Value},
@@ -36,7 +37,7 @@ pub(super) struct Entry {
     /// `None`: forgotten.
     pub payload: Option<Payload>,
     pub urgency: Urgency,
-    pub sent_ms: u64,
+    pub sent: Sent,
     /// When it was published, on this computer's clock.
     pub since: Instant,
     pub has_ended: bool,
@@ -253,7 +254,7 @@ impl Entry {
         let live = Live {
             position: Position(run, self.number),
             origin: self.origin,
-            sent_ms: self.sent_ms,
+            sent: self.sent,
             urgency: self.urgency,
         };
         live.encode()
@@ -278,7 +279,7 @@ impl Entry {
             origin: self.origin,
             payload: self.payload.clone().unwrap_or_else(none),
             urgency: self.urgency,
-            sent_ms: self.sent_ms,
+            sent: self.sent,
             age: now.saturating_duration_since(self.since),
             has_ended: self.has_ended,
             is_forgotten: self.payload.is_none(),
@@ -293,7 +294,7 @@ impl Entry {
             origin: value.origin,
             payload: (!value.is_forgotten).then_some(value.payload),
             urgency: value.urgency,
-            sent_ms: value.sent_ms,
+            sent: value.sent,
             since: before(now, value.age),
             has_ended: value.has_ended,
             kept,

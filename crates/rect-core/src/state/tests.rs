@@ -19,6 +19,7 @@ use crate::{
     catalogue::{token::Token, Instance},
     driver::{Action, Answer, Declaration, Driver, Event, Id, QueryId, Sample, Step},
     message::{
+        attachment::Sent,
         encoding::Encoding,
         payload::Payload,
         retained::{live::Live, value::Value, Arrival},
@@ -895,10 +896,10 @@ impl World {
             return;
         }
         let order = match forget {
-            true => program.state.forget(&topic, 0),
+            true => program.state.forget(&topic, Sent::At(0)),
             false => {
                 let payload = Payload::new(vec![b'x'; 40], Encoding::TEXT);
-                (program.state).set(&topic, payload, Urgency::Normal, disk, 0)
+                (program.state).set(&topic, payload, Urgency::Normal, disk, Sent::At(0))
             }
         };
         let retain = Retain::new(&place, &order, now);
@@ -1123,7 +1124,7 @@ fn saved(program: &mut ProgramState, now: Instant) -> Option<Vec<u8>> {
     let disk = Disk::Saved(None);
     let mut keeper = StateKeeper::new(place("a"), 1, disk, Box::new(|_| false), now);
     let payload = Payload::new("old", Encoding::TEXT);
-    let set = program.set(&topic(1), payload, Urgency::Normal, true, 0);
+    let set = program.set(&topic(1), payload, Urgency::Normal, true, Sent::At(0));
     let payload = super::page::write(&set);
     let (id, query, key, attachment) = (Id(0), QueryId(1), String::new(), None);
     let _ = keeper.on_event(
@@ -1152,13 +1153,13 @@ fn value_that_waited_for_the_router_replaces_the_one_on_disk() {
     let disk = Disk::Saved(saved(&mut program, now));
     let mut keeper = StateKeeper::new(place("a"), 2, disk, Box::new(|_| false), now);
     let payload = Payload::new("new", Encoding::TEXT);
-    let new = program.set(&topic(1), payload, Urgency::Normal, true, 0);
+    let new = program.set(&topic(1), payload, Urgency::Normal, true, Sent::At(0));
     let kept = order(&mut keeper, &new.after(Duration::from_secs(3)), now);
     assert!(!kept.is_replaced);
     // A call that began before that one is too late.
     let mut other = ProgramState::new(place("a"), 8, now);
     let payload = Payload::new("late", Encoding::TEXT);
-    let late = other.set(&topic(1), payload, Urgency::Normal, false, 0);
+    let late = other.set(&topic(1), payload, Urgency::Normal, false, Sent::At(0));
     let kept = order(&mut keeper, &late.after(Duration::from_secs(4)), now);
     assert!(kept.is_replaced);
     let values = keeper.page(None, &[keys(&name("a"))], now, true).records;
@@ -1194,7 +1195,7 @@ fn value(number: u64, bytes: usize) -> Value {
         origin: Origin(7, number),
         payload: Payload::new(vec![1; bytes], Encoding::BYTES),
         urgency: Urgency::Normal,
-        sent_ms: 0,
+        sent: Sent::At(0),
         age: Duration::ZERO,
         has_ended: false,
         is_forgotten: false,

@@ -4,6 +4,7 @@ use std::time::{Instant, SystemTime};
 use rect_core::{
     clock::unix::ms_since_1970,
     message::{
+        attachment::Sent,
         encoding::Encoding,
         payload::{FromPayload, Payload},
         Message,
@@ -95,7 +96,7 @@ impl Robot {
     ) -> Result<(), Error> {
         let topic: Topic = valid(topic)?;
         let running = self.inner.state.running()?;
-        let order = running.driver().forget(&topic, now_ms());
+        let order = running.driver().forget(&topic, now());
         self.give(topic, order).await
     }
 
@@ -106,7 +107,7 @@ impl Robot {
         topic: Topic,
         payload: Payload,
     ) -> Result<(), Error> {
-        self.retain_at(retention, topic, payload, now_ms()).await
+        self.retain_at(retention, topic, payload, now()).await
     }
 
     /// Retains the value of a recording again, or forgets its topic. `sent_ms`: when it was published, in milliseconds since 1970.
@@ -117,12 +118,17 @@ impl Robot {
         value: Option<Payload>,
         sent_ms: u64,
     ) -> Result<(), Error> {
+        let sent = Sent::Replayed(sent_ms);
         match value {
             Some(payload) => {
-                self.retain_at(Retention::InMemory, topic, payload, sent_ms)
+                self.retain_at(Retention::InMemory, topic, payload, sent)
                     .await
             }
-            None => self.forget(topic).await,
+            None => {
+                let running = self.inner.state.running()?;
+                let order = running.driver().forget(&topic, sent);
+                self.give(topic, order).await
+            }
         }
     }
 
@@ -131,12 +137,12 @@ impl Robot {
         retention: Retention,
         topic: Topic,
         payload: Payload,
-        sent_ms: u64,
+        sent: Sent,
     ) -> Result<(), Error> {
         let running = self.inner.state.running()?;
         let size = payload.bytes.len();
         let (urgency, disk) = (self.urgency(), retention == Retention::OnDisk);
-        let order = (running.driver()).set(&topic, payload, urgency, disk, sent_ms);
+        let order = (running.driver()).set(&topic, payload, urgency, disk, sent);
         let given = self.give(topic, order).await;
         if given.is_ok() {
             self.inner.counting.on_sent(size);
@@ -177,6 +183,6 @@ impl Robot {
     }
 }
 
-fn now_ms() -> u64 {
-    ms_since_1970(SystemTime::now())
+fn now() -> Sent {
+    Sent::At(ms_since_1970(SystemTime::now()))
 }

@@ -447,8 +447,8 @@ impl Robot {
     }
 
     /// Publishes a message of a recording again, on its own topic or another one, with its urgency and to its recipient. Receivers
-    /// can tell it from live messages by [`Message::replayed`](crate::Message::replayed), unless its topic was retained: then the value is
-    /// retained again, in memory, or the topic is forgotten again.
+    /// can tell it from live messages by [`Message::replayed`](crate::Message::replayed). If its topic was retained, the value is retained
+    /// again, in memory, or the topic is forgotten again.
     ///
     /// # Errors
     /// Returns the errors of [`publish`](Self::publish), [`Error::Name`] if the recipient is not a valid name, and

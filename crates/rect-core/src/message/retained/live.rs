@@ -3,16 +3,17 @@
 //! | bytes | content |
 //! |---|---|
 //! | 1 | `0xF7`. No text in UTF-8 begins with such a byte, and no other attachment of RECT's |
-//! | 1 | the urgency: 0 normal, 1 urgent, 2 bulk |
+//! | 1 | the urgency: 0 normal, 1 urgent, 2 bulk; 16 more if the message repeats one of a recording |
 //! | 4 | the run of the router that keeps it, little endian |
 //! | 1 to 9 | its number there, LEB128 |
 //! | 4 | the run of the program that published it, little endian |
 //! | 1 to 9 | how many values that run had published before, LEB128 |
-//! | 6 | the time of sending in milliseconds since 1970 by the program's clock, little endian |
+//! | 6 | the time of sending in milliseconds since 1970 by the program's clock, little endian; of the message of the recording, if it repeats one |
 use super::{Origin, Position};
-use crate::message::{leb128, urgency::Urgency};
+use crate::message::{attachment::Sent, leb128, urgency::Urgency};
 
 const MARK: u8 = 0xF7;
+const REPLAYED: u8 = 16;
 /// The maximum length of a number: 63 bits.
 const NUMBER_BYTES: usize = 9;
 
@@ -23,8 +24,8 @@ pub struct Live {
     pub position: Position,
     /// The identity of the value.
     pub origin: Origin,
-    /// The time of sending in milliseconds since 1970, 48 bits.
-    pub sent_ms: u64,
+    /// The time of sending in milliseconds since 1970, 48 bits; that of the message of a recording, if it repeats one.
+    pub sent: Sent,
     /// The urgency of the message. A large one travels as bulk.
     pub urgency: Urgency,
 }
@@ -37,7 +38,8 @@ impl Live {
             Urgency::Urgent => 1,
             Urgency::Bulk => 2,
         };
-        let mut bytes = vec![MARK, urgency];
+        let replayed = if self.sent.is_replayed() { REPLAYED } else { 0 };
+        let mut bytes = vec![MARK, urgency | replayed];
         for (run, number) in [
             (self.position.0, self.position.1),
             (self.origin.0, self.origin.1),
@@ -45,14 +47,15 @@ impl Live {
             bytes.extend(run.to_le_bytes());
             leb128::write(number, |byte| bytes.push(byte));
         }
-        bytes.extend(&self.sent_ms.to_le_bytes()[..6]);
+        bytes.extend(&self.sent.ms().unwrap_or(0).to_le_bytes()[..6]);
         bytes
     }
 
     /// Decodes an attachment. Returns `None` if the bytes are something else.
     pub fn decode(bytes: &[u8]) -> Option<Self> {
         let (&urgency, rest) = bytes.strip_prefix(&[MARK])?.split_first()?;
-        let urgency = match urgency {
+        let is_replayed = urgency & REPLAYED != 0;
+        let urgency = match urgency & !REPLAYED {
             0 => Urgency::Normal,
             1 => Urgency::Urgent,
             2 => Urgency::Bulk,
@@ -68,7 +71,10 @@ impl Live {
         Some(Self {
             position: Position(u32::from_le_bytes(*run), number),
             origin: Origin(u32::from_le_bytes(*program), count),
-            sent_ms: u64::from_le_bytes(sent),
+            sent: match is_replayed {
+                true => Sent::Replayed(u64::from_le_bytes(sent)),
+                false => Sent::At(u64::from_le_bytes(sent)),
+            },
             urgency,
         })
     }
@@ -85,7 +91,10 @@ mod tests {
             let live = Live {
                 position: Position(7, number),
                 origin: Origin(u32::MAX, 1),
-                sent_ms: (1 << 48) - 1,
+                sent: match bytes % 2 {
+                    0 => Sent::At((1 << 48) - 1),
+                    _ => Sent::Replayed((1 << 48) - 1),
+                },
                 urgency: Urgency::Bulk,
             };
             let encoded = live.encode();

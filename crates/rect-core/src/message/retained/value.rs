@@ -20,6 +20,7 @@ const HAS_ENDED: u8 = 1;
 const IS_FORGOTTEN: u8 = 2;
 const IS_URGENT: u8 = 4;
 const IS_BULK: u8 = 8;
+const IS_REPLAYED: u8 = 16;
 
 /// A value of a page.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -37,8 +38,8 @@ pub struct Value {
     pub payload: Payload,
     /// The urgency of the message.
     pub urgency: Urgency,
-    /// When it was published, in milliseconds since 1970 by the clock of its program.
-    pub sent_ms: u64,
+    /// When it was published, by the clock of its program.
+    pub sent: Sent,
     /// How long ago it was published, or forgotten.
     pub age: Duration,
     /// Whether the program that published it has ended.
@@ -59,7 +60,8 @@ impl Value {
         };
         Message {
             urgency: self.urgency,
-            sent_at: Sent::At(self.sent_ms).at(),
+            sent_at: self.sent.at(),
+            replayed: self.sent.is_replayed(),
             value: match self.is_forgotten {
                 true => Err(PayloadError::Forgotten),
                 false => Ok(()),
@@ -92,7 +94,9 @@ impl From<Value> for Wire {
             Urgency::Bulk => IS_BULK,
         };
         let flag = |is_set, flag| if is_set { flag } else { 0 };
-        let flags = flag(value.has_ended, HAS_ENDED) | flag(value.is_forgotten, IS_FORGOTTEN);
+        let flags = flag(value.has_ended, HAS_ENDED)
+            | flag(value.is_forgotten, IS_FORGOTTEN)
+            | flag(value.sent.is_replayed(), IS_REPLAYED);
         let encoding = match value.payload.encoding == Encoding::JSON {
             true => String::new(),
             false => value.payload.encoding.as_str().to_owned(),
@@ -105,7 +109,7 @@ impl From<Value> for Wire {
             value.number,
             value.origin,
             flags | urgency,
-            value.sent_ms,
+            value.sent.ms().unwrap_or(0),
             u64::try_from(value.age.as_millis()).unwrap_or(u64::MAX),
             encoding,
             value.payload.bytes,
@@ -142,7 +146,10 @@ impl TryFrom<Wire> for Value {
                 IS_BULK => Urgency::Bulk,
                 _ => Urgency::Normal,
             },
-            sent_ms,
+            sent: match flags & IS_REPLAYED {
+                0 => Sent::At(sent_ms),
+                _ => Sent::Replayed(sent_ms),
+            },
             age: Duration::from_millis(age_ms),
             has_ended: flags & HAS_ENDED != 0,
             is_forgotten: flags & IS_FORGOTTEN != 0,
@@ -163,7 +170,7 @@ pub(crate) mod tests {
             origin: Origin(7, 9),
             payload: Payload::new("\"auto\"", Encoding::JSON),
             urgency: Urgency::Urgent,
-            sent_ms: 1_795_000_000_000,
+            sent: Sent::Replayed(1_795_000_000_000),
             age: Duration::from_millis(1500),
             has_ended: true,
             is_forgotten: false,

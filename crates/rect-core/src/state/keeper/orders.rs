@@ -80,7 +80,7 @@ impl StateKeeper {
                     origin: value.origin,
                     payload: Some(Payload::new(value.bytes, encoding)),
                     urgency: value.urgency,
-                    sent_ms: value.sent_ms,
+                    sent: value.sent,
                     since: before(now, Duration::from_millis(value.age_ms)),
                     has_ended: false,
                     kept: value.kept,
@@ -91,7 +91,7 @@ impl StateKeeper {
             }
             Order::Forget {
                 origin,
-                sent_ms,
+                sent,
                 age_ms,
                 ..
             } => {
@@ -100,7 +100,7 @@ impl StateKeeper {
                     origin,
                     payload: None,
                     urgency: Urgency::Normal,
-                    sent_ms,
+                    sent,
                     since: before(now, Duration::from_millis(age_ms)),
                     has_ended: false,
                     kept: None,

@@ -182,7 +182,7 @@ impl StateKeeper {
             is_forgotten: sample.is_deleted,
             payload: sample.payload,
             urgency: live.urgency,
-            sent_ms: live.sent_ms,
+            sent: live.sent,
             age: Duration::ZERO,
             has_ended: false,
             kept: None,
