@@ -15,6 +15,7 @@ pub mod page;
 mod polls;
 pub mod program;
 pub mod retain;
+mod saved;
 mod store;
 #[cfg(test)]
 mod tests;

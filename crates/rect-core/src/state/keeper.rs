@@ -17,6 +17,7 @@ use super::{
     followers::Followers,
     page::{checked, read, selects, write, Page},
     polls::Polls,
+    saved::Saved,
     store::{is_selected, zenoh_key, Entry, Key, Store},
     Position, GRACE, OF_PROGRAMS, STATE, TOKEN,
 };
@@ -62,6 +63,9 @@ pub enum Item {
 /// Returns whether a program serves a topic, which then cannot be state.
 pub type IsServed = Box<dyn Fn(&Topic) -> bool + Send>;
 
+/// Returns the time of day in milliseconds since 1970. Only the ages of values on disk depend on it.
+pub type TimeOfDay = Box<dyn Fn() -> u64 + Send>;
+
 /// The state of a robot.
 pub struct StateKeeper {
     place: KeySpace,
@@ -71,6 +75,7 @@ pub struct StateKeeper {
     copies: Copies,
     followers: Followers,
     is_served: IsServed,
+    time_of_day: TimeOfDay,
     /// The topics of other robots that programs subscribe to.
     interests: Vec<OwnedKeyExpr>,
     /// The subscriptions to them.
@@ -113,7 +118,14 @@ impl fmt::Debug for StateKeeper {
 
 impl StateKeeper {
     /// Creates the state of the robot of `place`. `run` is a random number.
-    pub fn new(place: KeySpace, run: u32, disk: Disk, is_served: IsServed, now: Instant) -> Self {
+    pub fn new(
+        place: KeySpace,
+        run: u32,
+        disk: Disk,
+        is_served: IsServed,
+        time_of_day: TimeOfDay,
+        now: Instant,
+    ) -> Self {
         let key = place.own(Some(&place.robot), OF_PROGRAMS);
         let complete = true;
         let declaration = Declaration::Queryable { key, complete };
@@ -130,6 +142,7 @@ impl StateKeeper {
             copies: Copies::default(),
             followers: Followers::default(),
             is_served,
+            time_of_day,
             interests: Vec::new(),
             subscriptions: Vec::new(),
             programs: BTreeMap::new(),
@@ -157,7 +170,7 @@ impl StateKeeper {
     /// Creates the state of the robot of a program that has no router.
     pub fn of_program(place: KeySpace, run: u32, now: Instant) -> Self {
         let disk = Disk::None("a program without a router keeps no values on disk".to_owned());
-        Self::new(place, run, disk, Box::new(|_| false), now)
+        Self::new(place, run, disk, Box::new(|_| false), Box::new(|| 0), now)
     }
 
     /// Returns whether a topic of this robot has a value, so that no program can serve it.
@@ -200,17 +213,17 @@ impl StateKeeper {
     }
 
     fn load(&mut self, saved: &[u8], now: Instant) {
-        let page: Page = match read(saved) {
-            Ok(page) => page,
+        let saved = match Saved::decode(saved, (self.time_of_day)()) {
+            Ok(saved) => saved,
             Err(error) => {
                 return self.warn(format!(
                     "the file of the retained values is damaged, and is replaced: {error}"
                 ));
             }
         };
-        for value in page.records {
+        for value in saved.records {
             let key = (self.place.robot.clone(), value.topic.clone());
-            let kept = Some(Position(page.run, value.number));
+            let kept = Some(Position(saved.run, value.number));
             let entry = Entry {
                 disk: true,
                 is_loaded: true,
@@ -227,14 +240,14 @@ impl StateKeeper {
         let own = &self.place.robot;
         let kept = self.store.of(own);
         let kept = kept.filter(|(_, entry)| entry.disk && entry.payload.is_some());
-        let page = Page {
+        let saved = Saved {
             run: self.run,
+            at_ms: (self.time_of_day)(),
             records: kept
                 .map(|(key, entry)| entry.value(key, own, now))
                 .collect(),
-            ..Page::default()
         };
-        write(&page).bytes.to_vec()
+        saved.encode()
     }
 
     fn id(&mut self) -> Id {

@@ -1,8 +1,12 @@
-//! Runs the state of three robots in virtual time: values change while links are cut, programs and routers crash, and robots get other
-//! names. In some runs, several programs of a robot publish the same topic.
+//! Runs the state of three robots in virtual time: values change while links are cut, programs and routers crash, robots get other
+//! names, and their clocks are set. In some runs, several programs of a robot publish the same topic.
 //! Run them with `cargo test -p rect-core state`.
 use std::{
     collections::{BTreeMap, BTreeSet, HashMap},
+    sync::{
+        atomic::{AtomicU64, Ordering},
+        Arc,
+    },
     time::{Duration, Instant},
 };
 
@@ -36,6 +40,7 @@ use crate::{
 
 const ROBOTS: usize = 3;
 const TOPICS: u64 = 7;
+const YEAR_2026_MS: u64 = 1_795_000_000_000;
 /// What each program of a robot subscribes to.
 const PATTERNS: [&str; 3] = ["*/**", "*/t1", "*/t2"];
 
@@ -120,6 +125,7 @@ enum Happening {
     CrashProgram,
     StartProgram(usize, usize),
     Rename,
+    SetClock,
 }
 
 struct World {
@@ -140,6 +146,8 @@ struct World {
     routers: [Option<Router>; ROBOTS],
     /// The bytes that each router has saved.
     disks: [Option<Vec<u8>>; ROBOTS],
+    /// The time of day of each robot, in milliseconds since 1970. It stands still until it is set.
+    clocks: [Arc<AtomicU64>; ROBOTS],
     programs: BTreeMap<(usize, usize), Program>,
     epochs: HashMap<Node, u64>,
     /// When each run of a node is polled next.
@@ -167,6 +175,7 @@ impl World {
             is_shared: seed % 3 != 0,
             routers: [None, None, None],
             disks: [None, None, None],
+            clocks: std::array::from_fn(|_| Arc::new(AtomicU64::new(YEAR_2026_MS))),
             programs: BTreeMap::new(),
             epochs: HashMap::new(),
             planned: HashMap::new(),
@@ -197,6 +206,9 @@ impl World {
         for _ in 0..2 {
             world.within(1000..60_000, Happening::CrashRouter);
             world.within(1000..60_000, Happening::CrashProgram);
+        }
+        for _ in 0..4 {
+            world.within(1000..60_000, Happening::SetClock);
         }
         if seed % 7 < 2 {
             for _ in 0..=seed % 7 {
@@ -279,7 +291,10 @@ impl World {
     fn start_router(&mut self, robot: usize) {
         let run = self.below(u64::from(u32::MAX)) as u32;
         let disk = Disk::Saved(self.disks[robot].clone());
-        let keeper = StateKeeper::new(self.place(robot), run, disk, Box::new(|_| false), self.now);
+        let clock = Arc::clone(&self.clocks[robot]);
+        let time_of_day = Box::new(move || clock.load(Ordering::Relaxed));
+        let (place, is_served) = (self.place(robot), Box::new(|_: &Topic| false));
+        let keeper = StateKeeper::new(place, run, disk, is_served, time_of_day, self.now);
         self.routers[robot] = Some(Router {
             keeper,
             run,
@@ -821,6 +836,14 @@ impl World {
                     self.start_program(robot, program);
                 }
             }
+            Happening::SetClock => {
+                let robot = self.below(ROBOTS as u64) as usize;
+                let time = match self.below(3) {
+                    0 => self.below(86_400_000),
+                    _ => YEAR_2026_MS - 86_400_000 + self.below(2 * 86_400_000),
+                };
+                self.clocks[robot].store(time, Ordering::Relaxed);
+            }
             Happening::Rename => {
                 let robot = self.below(ROBOTS as u64) as usize;
                 if self.faults {
@@ -1048,7 +1071,7 @@ fn nothing_is_sent_while_nothing_changes() {
 fn copying() -> (StateKeeper, Id, Instant) {
     let now = Instant::now();
     let disk = Disk::Saved(None);
-    let mut keeper = StateKeeper::new(place("b"), 1, disk, Box::new(|_| false), now);
+    let mut keeper = keeper("b", 1, disk, now);
     let poll = Order::Poll {
         program: 2,
         since: None,
@@ -1083,6 +1106,11 @@ fn copying() -> (StateKeeper, Id, Instant) {
     let (asked, to) = questions(&mut keeper, now).remove(0);
     assert_eq!(to, "rect/a/@rect/state");
     (keeper, asked, now)
+}
+
+fn keeper(robot: &str, run: u32, disk: Disk, now: Instant) -> StateKeeper {
+    let (is_served, time_of_day) = (Box::new(|_: &Topic| false), Box::new(|| YEAR_2026_MS));
+    StateKeeper::new(place(robot), run, disk, is_served, time_of_day, now)
 }
 
 fn actions(keeper: &mut StateKeeper, now: Instant) -> Vec<Action> {
@@ -1122,7 +1150,7 @@ fn order(keeper: &mut StateKeeper, order: &Order, now: Instant) -> Kept {
 /// Returns the bytes that a keeper of `a` saves when a program publishes `t1`.
 fn saved(program: &mut ProgramState, now: Instant) -> Option<Vec<u8>> {
     let disk = Disk::Saved(None);
-    let mut keeper = StateKeeper::new(place("a"), 1, disk, Box::new(|_| false), now);
+    let mut keeper = keeper("a", 1, disk, now);
     let payload = Payload::new("old", Encoding::TEXT);
     let set = program.set(&topic(1), payload, Urgency::Normal, true, Sent::At(0));
     let payload = super::page::write(&set);
@@ -1151,7 +1179,7 @@ fn value_that_waited_for_the_router_replaces_the_one_on_disk() {
     let now = Instant::now();
     let mut program = ProgramState::new(place("a"), 7, now);
     let disk = Disk::Saved(saved(&mut program, now));
-    let mut keeper = StateKeeper::new(place("a"), 2, disk, Box::new(|_| false), now);
+    let mut keeper = keeper("a", 2, disk, now);
     let payload = Payload::new("new", Encoding::TEXT);
     let new = program.set(&topic(1), payload, Urgency::Normal, true, Sent::At(0));
     let kept = order(&mut keeper, &new.after(Duration::from_secs(3)), now);

@@ -1,10 +1,11 @@
 //! Receives retained messages from the router, and keeps the state of a robot.
 use std::{
     sync::{Arc, Mutex, OnceLock, Weak},
-    time::Instant,
+    time::{Instant, SystemTime},
 };
 
 use rect_core::{
+    clock::unix::ms_since_1970,
     driver::Event,
     message::{
         counters::AtomicCounters,
@@ -181,7 +182,9 @@ impl KeptState {
         is_served: IsServed,
     ) -> Result<Self, Error> {
         let now = Instant::now();
-        let keeper = StateKeeper::new(place, rand::random(), disk, is_served, now);
+        let time_of_day = Box::new(|| ms_since_1970(SystemTime::now()));
+        let run = rand::random();
+        let keeper = StateKeeper::new(place, run, disk, is_served, time_of_day, now);
         Self::run(session, keeper, save)
     }
 
