@@ -17,7 +17,7 @@ import pytest
 import rect
 import zenoh
 from conftest import DEADLINE, until
-from programs import Routers, linked_routers
+from programs import Routers, linked_routers, program
 
 #: How long nothing may arrive after which nothing is expected any more, in seconds.
 QUIET = 1.0
@@ -125,6 +125,7 @@ def test_restart_of_a_router_loses_and_repeats_nothing(state_routers: Routers, r
 def test_value_on_disk_survives_a_restart_of_the_robot(state_routers: Routers) -> None:
     with state_routers.connect("wombat-1") as one:
         one.publish("disk/offset", 1.25, retained="disk")
+        published = time.monotonic()
         one.publish("disk/gone", 1, retained="disk")
         one.publish("disk/memory", 1, retained=True)
         one.forget("disk/gone")
@@ -136,6 +137,10 @@ def test_value_on_disk_survives_a_restart_of_the_robot(state_routers: Routers) -
             return message and message.value
 
         until(lambda: latest("disk/offset") == 1.25)
+        offset = two.latest("wombat-1", "disk/offset")
+        assert offset is not None and offset.retained is not None
+        # Also the time for which the router did not run. The two clocks may differ by a millisecond.
+        assert 0 <= time.monotonic() - published - offset.retained.age + 0.01 < 1
         assert latest("disk/gone") is None
         assert latest("disk/memory") is None
 
@@ -223,6 +228,59 @@ def test_stock_tools_get_the_last_value(state_routers: Routers) -> None:
         advanced.undeclare()
         one.forget("stock/mode")
         assert get("rect/wombat-1/stock/mode") == []
+
+
+@contextmanager
+def initialised_routers(folder: Path) -> Iterator[dict[str, dict[str, str]]]:
+    """Starts the routers of two robots as `rect init` configures them. Yields the options for programs."""
+    from robots import free_port, is_listening  # type: ignore[import-not-found, unused-ignore]
+    from room import Room  # type: ignore[import-not-found, unused-ignore]
+
+    router = program("RECT_ROUTER", "rect-router")
+    users = folder / "wombat-1" / "users"
+    with Room("desk") as room, ExitStack() as stack:
+        options = {}
+        for name in ("wombat-1", "wombat-2"):
+            port = free_port()
+            init = ["init", name, "--adapter", f"sim-{name}", "--folder", str(folder / name), "--port", str(port)]
+            team = [] if name == "wombat-1" else ["--users", str(users)]
+            subprocess.run([router, *init, *team], check=True, capture_output=True)
+            dials = [] if name == "wombat-1" else ["-e", "any/wombat-1"]
+            command = [router, "-c", str(folder / name / "robot.json5"), *dials]
+            log = stack.enter_context((folder / f"{name}.log").open("w"))
+            process = subprocess.Popen(command, env=room.environment(), stdout=log, stderr=log)
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+            until(lambda port=port: is_listening(port))
+            options[name] = {"router": f"tcp/127.0.0.1:{port}", "login_file": str(users)}
+        yield options
+
+
+def test_advanced_subscriber_gets_the_last_value_of_a_robot_that_rect_init_configured(
+    state_routers: Routers, tmp_path: Path
+) -> None:
+    with initialised_routers(tmp_path) as options, ExitStack() as stack:
+        one, two = (stack.enter_context(rect.connect(name, **options[name])) for name in options)
+        one.publish("mode", "auto", retained=True)
+        two.wait_for_peer("wombat-1", DEADLINE)
+        user, password = Path(options["wombat-2"]["login_file"]).read_text().split()[0].split(":")
+        config = zenoh.Config()
+        config.insert_json5("mode", '"client"')
+        config.insert_json5("connect/endpoints", f'["{options["wombat-2"]["router"]}"]')
+        config.insert_json5("transport/auth/usrpwd/user", f'"{user}"')
+        config.insert_json5("transport/auth/usrpwd/password", f'"{password}"')
+        stock = stack.enter_context(zenoh.open(config))
+        received: list[bytes] = []
+        advanced = zenoh.ext.declare_advanced_subscriber(
+            stock,
+            "rect/wombat-1/mode",
+            lambda sample: received.append(sample.payload.to_bytes()),
+            history=zenoh.ext.HistoryConfig(),
+        )
+        until(lambda: received == [b"auto"], lambda: received)
+        one.publish("mode", "manual", retained=True)
+        until(lambda: received == [b"auto", b"manual"], lambda: received)
+        advanced.undeclare()
 
 
 def test_late_subscription_is_complete_soon(tmp_path: Path) -> None:
