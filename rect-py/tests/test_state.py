@@ -5,6 +5,7 @@ RECT_ROUTER=target/checked/rect-router RECT_TOOL=target/checked/rect pytest rect
 
 from __future__ import annotations
 
+import functools
 import subprocess
 import sys
 import time
@@ -231,7 +232,7 @@ def test_stock_tools_get_the_last_value(state_routers: Routers) -> None:
 
 
 @contextmanager
-def initialised_routers(folder: Path) -> Iterator[dict[str, dict[str, str]]]:
+def initialised_routers(folder: Path) -> Iterator[dict[str, dict[str, Any]]]:
     """Starts the routers of two robots as `rect init` configures them. Yields the options for programs."""
     from robots import free_port, is_listening  # type: ignore[import-not-found, unused-ignore]
     from room import Room  # type: ignore[import-not-found, unused-ignore]
@@ -239,7 +240,7 @@ def initialised_routers(folder: Path) -> Iterator[dict[str, dict[str, str]]]:
     router = program("RECT_ROUTER", "rect-router")
     users = folder / "wombat-1" / "users"
     with Room("desk") as room, ExitStack() as stack:
-        options = {}
+        options: dict[str, dict[str, Any]] = {}
         for name in ("wombat-1", "wombat-2"):
             port = free_port()
             init = ["init", name, "--adapter", f"sim-{name}", "--folder", str(folder / name), "--port", str(port)]
@@ -251,7 +252,7 @@ def initialised_routers(folder: Path) -> Iterator[dict[str, dict[str, str]]]:
             process = subprocess.Popen(command, env=room.environment(), stdout=log, stderr=log)
             stack.callback(process.wait)
             stack.callback(process.kill)
-            until(lambda port=port: is_listening(port))
+            until(functools.partial(is_listening, port))
             options[name] = {"router": f"tcp/127.0.0.1:{port}", "login_file": str(users)}
         yield options
 

@@ -41,7 +41,7 @@ use crate::{
 const ROBOTS: usize = 3;
 const TOPICS: u64 = 7;
 const YEAR_2026_MS: u64 = 1_795_000_000_000;
-/// What each program of a robot subscribes to.
+/// The patterns of the programs of a robot.
 const PATTERNS: [&str; 3] = ["*/**", "*/t1", "*/t2"];
 
 fn name(text: &str) -> Name {
