@@ -90,7 +90,8 @@ impl ServiceDocument {
         };
         let group = self.topic.rsplit('/').next().and_then(Topic::of_parameters);
         let topic = group.filter(|topic| topic.as_str() == self.topic);
-        let topic = topic.ok_or_else(|| wrong(format!("{:?} cannot have parameters", self.topic)))?;
+        let topic =
+            topic.ok_or_else(|| wrong(format!("{:?} cannot have parameters", self.topic)))?;
         Ok(ServiceEntry {
             parameters: Some(parameters),
             ..ServiceEntry::new(topic, &self.about, false)
@@ -150,12 +151,15 @@ impl Program {
     /// Returns the program's groups of parameters with their declarations.
     pub fn parameters(&self) -> impl Iterator<Item = (&str, &Declaration)> {
         let services = self.services.iter();
-        services.filter_map(|service| Some((service.topic.parameters()?, service.parameters.as_ref()?)))
+        services
+            .filter_map(|service| Some((service.topic.parameters()?, service.parameters.as_ref()?)))
     }
 
     /// Returns the program's services for requests.
     pub fn requestable(&self) -> impl Iterator<Item = &ServiceEntry> {
-        self.services.iter().filter(|service| service.parameters.is_none())
+        self.services
+            .iter()
+            .filter(|service| service.parameters.is_none())
     }
 
     /// Returns whether the program serves a topic.
@@ -178,10 +182,7 @@ impl Program {
             )));
         }
         let name = document.program.as_deref().map(Name::new).transpose();
-        let services = document
-            .services
-            .into_iter()
-            .map(ServiceDocument::checked);
+        let services = document.services.into_iter().map(ServiceDocument::checked);
         let services = services.collect::<Result<Vec<_>, _>>();
         Ok(Self {
             name: name.map_err(|error| CatalogueError(error.to_string()))?,

@@ -2,13 +2,14 @@
 //! implementation.
 //!
 //! [`message`] describes messages and their metadata, [`name`] who sends them and where they go, and [`codec`] makes their
-//! payloads smaller. [`session`], [`parameters`], [`registry`], [`retry`], [`state`], [`stream`] and [`transfer`] make the decisions of a session: plain structs and
+//! payloads smaller. [`session`], [`parameters`], [`registry`], [`retry`], [`state`], [`stop`], [`deadman`], [`stream`] and [`transfer`] make the decisions of a session: plain structs and
 //! functions decide about a single call, and a [`driver`] decides what takes more than one call to Zenoh. [`storage`] reads
 //! and writes the files of transfers.
 pub mod catalogue;
 pub mod cause;
 pub mod clock;
 pub mod codec;
+pub mod deadman;
 pub mod driver;
 pub mod message;
 pub mod name;
@@ -17,6 +18,7 @@ pub mod registry;
 pub mod retry;
 pub mod session;
 pub mod state;
+pub mod stop;
 pub mod storage;
 pub mod stream;
 pub mod text;

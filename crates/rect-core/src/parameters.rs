@@ -43,7 +43,5 @@ pub fn wrong_group(group: &str) -> String {
 /// Returns whether a text may name a group or a parameter: letters, digits, `_`, `-` and `.`, at most [`MAX_NAME`].
 pub fn is_name(text: &str) -> bool {
     let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
-    (1..=MAX_NAME).contains(&text.len())
-        && text.chars().all(allowed)
-        && !matches!(text, "." | "..")
+    (1..=MAX_NAME).contains(&text.len()) && text.chars().all(allowed) && !matches!(text, "." | "..")
 }

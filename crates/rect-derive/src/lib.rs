@@ -43,7 +43,12 @@ fn implementation(input: &DeriveInput) -> Result<Tokens> {
     let fields = match &input.data {
         Data::Struct(data) => match &data.fields {
             Fields::Named(fields) => &fields.named,
-            _ => return Err(Error::new(input.span(), "parameters need fields with names")),
+            _ => {
+                return Err(Error::new(
+                    input.span(),
+                    "parameters need fields with names",
+                ))
+            }
         },
         _ => return Err(Error::new(input.span(), "only a struct can be parameters")),
     };
@@ -179,5 +184,8 @@ fn about(attributes: &[Attribute]) -> String {
             _ => None,
         }
     });
-    lines.take_while(|line| !line.is_empty()).collect::<Vec<_>>().join(" ")
+    lines
+        .take_while(|line| !line.is_empty())
+        .collect::<Vec<_>>()
+        .join(" ")
 }

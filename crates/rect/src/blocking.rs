@@ -17,22 +17,28 @@ mod publisher;
 #[cfg(feature = "recording")]
 mod recorder;
 mod runtime;
+mod stop;
 mod stream;
 mod subscription;
 mod transfer;
 
-use std::{sync::Arc, time::Duration};
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 #[cfg(feature = "recording")]
 pub use self::recorder::RobotRecorder;
 pub use self::{
-    publisher::Publisher, runtime::Runtime, stream::Watcher, subscription::Subscription,
+    publisher::Publisher,
+    runtime::Runtime,
+    stop::{FleetStop, StopChanges},
+    stream::Watcher,
+    subscription::Subscription,
     transfer::Transfers,
 };
 use crate::{
-    session, Connection, Counters, Error, Event, FromPayload, Gathered, Message, Name,
-    NamedConnection, Options, Pattern, Payload, Program, QueueOptions, Reply, Service,
-    ServiceEntry, ServiceOptions, ToPayload, Topic, Urgency,
+    session, Connection, Counters, Deadman, Error, Event, FromPayload, Gathered, GroupOptions,
+    Message, Name, NamedConnection, Options, ParameterGroup, ParameterOrder, ParameterValue,
+    Pattern, Payload, Program, QueueOptions, Reply, Service, ServiceEntry, ServiceOptions,
+    ToPayload, Topic, Urgency,
 };
 use rect_core::codec::{dictionary::Dictionary, Codec};
 
@@ -512,6 +518,61 @@ impl Robot {
     /// Returns the same errors as [`crate::Robot::connections`].
     pub fn connections(&self) -> Result<Vec<Connection>, Error> {
         self.runtime.wait(self.robot.connections())
+    }
+
+    /// Declares a group of parameters; see [`crate::Robot::parameters`].
+    ///
+    /// # Errors
+    /// Returns the same errors.
+    pub fn parameters<T: Send + Sync + 'static>(
+        &self,
+        group: impl Into<GroupOptions<T>>,
+    ) -> Result<ParameterGroup<T>, Error> {
+        self.runtime.wait(self.robot.parameters(group))
+    }
+
+    /// Changes parameters of a program; see [`crate::Robot::set_parameters`].
+    ///
+    /// # Errors
+    /// Returns the same errors.
+    pub fn set_parameters(
+        &self,
+        robot: impl TryInto<Name, Error: Into<Error>>,
+        group: &str,
+        order: impl Into<ParameterOrder>,
+    ) -> Result<BTreeMap<String, ParameterValue>, Error> {
+        self.runtime
+            .wait(self.robot.set_parameters(robot, group, order))
+    }
+
+    /// Takes part in the stop of the fleet; see [`crate::Robot::fleet_stop`].
+    ///
+    /// # Errors
+    /// Returns the same errors.
+    pub fn fleet_stop(&self) -> Result<FleetStop, Error> {
+        let stop = self.runtime.wait(self.robot.fleet_stop())?;
+        let runtime = self.runtime.clone();
+        Ok(FleetStop { stop, runtime })
+    }
+
+    /// Carries out commands while they arrive; see [`crate::Robot::deadman`]. Both functions are called on a thread of the session.
+    ///
+    /// # Errors
+    /// Returns the same errors.
+    pub fn deadman<T: FromPayload>(
+        &self,
+        pattern: impl TryInto<Pattern, Error: Into<Error>>,
+        within: Duration,
+        on_command: impl FnMut(T::Value) + Send + 'static,
+        on_lost: impl FnMut(&str) + Send + 'static,
+    ) -> Result<Deadman, Error>
+    where
+        T::Value: Send + 'static,
+    {
+        let switch = self
+            .robot
+            .deadman::<T>(pattern, within, on_command, on_lost);
+        self.runtime.wait(switch)
     }
 
     /// Adds a named connection to this robot's router, replacing the one of the same name.

@@ -57,6 +57,7 @@ pub use rect_core::{
         named_connection::NamedConnection,
     },
     session::{login::LoginRefused, router::WrongRobot},
+    stop::{Confirmation, Stop},
     storage::Content,
     stream::{
         options::OptionError,

@@ -2,6 +2,7 @@
 //! the [core](rect_core); this module connects them to Zenoh and to the program.
 mod connect;
 mod convert;
+mod deadman;
 mod declared;
 mod decoder;
 mod events;
@@ -32,6 +33,7 @@ mod service;
 mod shared;
 mod signal;
 mod state;
+mod stop;
 mod stream;
 mod subscriber;
 mod threads;
@@ -40,6 +42,7 @@ mod urgency_sessions;
 mod waiting;
 mod warnings;
 
+pub use deadman::Deadman;
 pub use events::Events;
 pub use gathered::{Gathered, Outcome};
 pub use options::{connect, Options};
@@ -54,6 +57,7 @@ pub use robot::Robot;
 pub use service::{Request, Requests, Service, ServiceOptions};
 #[doc(hidden)]
 pub use state::{KeptState, Save};
+pub use stop::{FleetStop, StopChanges};
 pub use stream::{Frame, StreamSender, Watcher};
 pub(crate) use subscriber::call;
 pub use subscriber::{QueueOptions, Subscriber, Subscription};

@@ -156,7 +156,8 @@ impl Parameter {
                 self.check_range(value, *number as f64)?;
                 value.clone()
             }
-            #[allow(clippy::cast_possible_truncation)] // The number is whole, and the range is checked.
+            #[allow(clippy::cast_possible_truncation)]
+            // The number is whole, and the range is checked.
             (Kind::Integer, Value::Number(number)) if number.fract() == 0.0 => {
                 return self.accept(&Value::Integer(*number as i64));
             }
@@ -240,7 +241,9 @@ impl Parameter {
     fn check(&self) -> Result<(), DeclarationError> {
         let wrong = |reason: String| {
             let name: String = self.name.chars().take(MAX_NAME).collect();
-            Err(DeclarationError(format!("the parameter {name:?}: {reason}")))
+            Err(DeclarationError(format!(
+                "the parameter {name:?}: {reason}"
+            )))
         };
         if !is_name(&self.name) {
             return wrong(format!(
@@ -270,11 +273,16 @@ impl Parameter {
         if has_range && !matches!(self.kind, Kind::Integer | Kind::Number | Kind::Numbers) {
             return wrong("only numbers have a range".to_owned());
         }
-        if (self.kind == Kind::Choice) == self.choices.is_empty() || self.choices.len() > MAX_CHOICES
+        if (self.kind == Kind::Choice) == self.choices.is_empty()
+            || self.choices.len() > MAX_CHOICES
         {
             return wrong(format!("a choice has 1 to {MAX_CHOICES} choices"));
         }
-        if self.choices.iter().any(|choice| is_longer(choice, MAX_NAME)) {
+        if self
+            .choices
+            .iter()
+            .any(|choice| is_longer(choice, MAX_NAME))
+        {
             return wrong(format!("a choice has at most {MAX_NAME} characters"));
         }
         self.accept(&self.default)
@@ -367,7 +375,11 @@ mod tests {
         let side = Parameter::new("side", "left").choices(["left", "right"]);
         let points = Parameter::new("points", vec![1.0]).range(0.0, None);
         for (parameter, value, reason) in [
-            (&gain, Value::from(11.0), "kp cannot be 11: the maximum is 10 1/s"),
+            (
+                &gain,
+                Value::from(11.0),
+                "kp cannot be 11: the maximum is 10 1/s",
+            ),
             (&gain, (-1).into(), "the minimum is 0 1/s"),
             (&gain, f64::NAN.into(), "finite"),
             (&gain, f64::INFINITY.into(), "finite"),
@@ -380,7 +392,11 @@ mod tests {
             (&side, 1.into(), "one of the choices"),
             (&points, vec![-1.0].into(), "the minimum is 0"),
             (&points, vec![0.0; 257].into(), "at most 256"),
-            (&Parameter::new("text", ""), "x".repeat(4097).into(), "at most 4096"),
+            (
+                &Parameter::new("text", ""),
+                "x".repeat(4097).into(),
+                "at most 4096",
+            ),
         ] {
             let refused = parameter.accept(&value).expect_err(reason);
             assert!(refused.contains(reason), "{refused}");

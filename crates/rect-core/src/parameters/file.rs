@@ -42,7 +42,12 @@ pub fn path(
         Some(state?.join("rect/parameters"))
     };
     let folder = variable("RECT_PARAMETERS").map(PathBuf::from);
-    Some(folder.or_else(state)?.join(robot).join(format!("{group}.json")))
+    Some(
+        folder
+            .or_else(state)?
+            .join(robot)
+            .join(format!("{group}.json")),
+    )
 }
 
 impl ParametersFile {
@@ -97,7 +102,8 @@ impl ParametersFile {
         }
         if !unknown.is_empty() {
             let unknown = unknown.join(", ");
-            let warning = format!("{path}: the program has no parameters {unknown}; the file keeps them");
+            let warning =
+                format!("{path}: the program has no parameters {unknown}; the file keeps them");
             warnings.push(warning);
         }
         self.written = values.iter().cloned().collect();
@@ -147,7 +153,10 @@ impl ParametersFile {
             self.file.replace(text).map_err(failed)?;
         }
         let warning = match moved {
-            Some(damaged) => Some(format!("{path} was damaged: it is {} now", damaged.display())),
+            Some(damaged) => Some(format!(
+                "{path} was damaged: it is {} now",
+                damaged.display()
+            )),
             None if edited.is_empty() => None,
             None => Some(format!(
                 "{path} was edited while the program runs: {} there is used from its next start on",

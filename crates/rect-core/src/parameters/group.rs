@@ -92,7 +92,11 @@ pub struct Saving {
 impl Values {
     pub(super) fn defaults(declaration: &Declaration) -> Self {
         let parameters = declaration.parameters().iter();
-        Self(parameters.map(|parameter| parameter.default.clone()).collect())
+        Self(
+            parameters
+                .map(|parameter| parameter.default.clone())
+                .collect(),
+        )
     }
 
     /// Returns the values, in the order of the declaration.
@@ -204,8 +208,16 @@ impl Group {
 
     /// Puts the proposed values into force. Nobody may have changed the group since they were proposed. `robot`: the robot that has sent
     /// the order; `None` if it is the program's own. Returns the change, if there is one.
-    pub fn commit(&mut self, proposal: &Proposal, robot: Option<&str>, now: Instant) -> Option<Change> {
-        let pairs = self.values.of(&self.declaration).zip(proposal.values.iter());
+    pub fn commit(
+        &mut self,
+        proposal: &Proposal,
+        robot: Option<&str>,
+        now: Instant,
+    ) -> Option<Change> {
+        let pairs = self
+            .values
+            .of(&self.declaration)
+            .zip(proposal.values.iter());
         let changed = pairs
             .filter(|((_, old), new)| old != new)
             .map(|((parameter, old), new)| Changed {

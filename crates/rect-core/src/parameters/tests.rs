@@ -73,8 +73,13 @@ fn a_change_is_in_force_at_once_then_published_and_then_stored() {
         ..set(&[("kp", Value::from(2)), ("side", "right".into())])
     };
     let proposal = group.propose(order, false).expect("valid");
-    let change = group.commit(&proposal, Some("laptop"), start).expect("a change");
-    assert_eq!((change.by.as_str(), change.changed.len()), ("laptop/page", 2));
+    let change = group
+        .commit(&proposal, Some("laptop"), start)
+        .expect("a change");
+    assert_eq!(
+        (change.by.as_str(), change.changed.len()),
+        ("laptop/page", 2)
+    );
     let reply: InForce = group.in_force(&proposal).value().expect("a reply");
     assert_eq!(reply.values.len(), 2);
     assert_eq!(group.stored(group.revision()), None);
@@ -83,7 +88,10 @@ fn a_change_is_in_force_at_once_then_published_and_then_stored() {
     };
     let second: Snapshot = second.value().expect("a snapshot");
     assert_eq!(second.values["kp"], Value::Number(2.0));
-    assert_eq!((second.changed.len(), second.by.as_str()), (2, "laptop/page"));
+    assert_eq!(
+        (second.changed.len(), second.by.as_str()),
+        (2, "laptop/page")
+    );
     let Work::Wait(Some(at)) = group.work(start) else {
         panic!("it waits for further changes");
     };
@@ -109,7 +117,10 @@ fn an_order_is_carried_out_as_a_whole_or_refused_with_a_reason() {
     let now = Instant::now();
     let (mut group, _) = Group::new(declaration(), None);
     for (order, reason) in [
-        (set(&[("kp", 2.0), ("kpp", 1.0)]), "there is no parameter \"kpp\"; did you mean kp?"),
+        (
+            set(&[("kp", 2.0), ("kpp", 1.0)]),
+            "there is no parameter \"kpp\"; did you mean kp?",
+        ),
         (set(&[("kp", 2.0), ("side", 1.0)]), "side cannot be 1"),
         (set(&[("serial", 8)]), "serial is read-only"),
         (
@@ -137,20 +148,28 @@ fn an_order_is_carried_out_as_a_whole_or_refused_with_a_reason() {
         reset: Reset::All(true),
         ..Order::default()
     };
-    assert_eq!(change(&mut group, reset, now), Ok(vec!["kp 4 1".to_owned()]));
+    assert_eq!(
+        change(&mut group, reset, now),
+        Ok(vec!["kp 4 1".to_owned()])
+    );
     assert_eq!(value(&group, "serial"), "8");
     let stored: Stored = group
         .stored(group.revision())
         .expect("an answer")
         .value()
         .expect("a reply");
-    assert!(!stored.stored && stored.reason.contains("file"), "{stored:?}");
+    assert!(
+        !stored.stored && stored.reason.contains("file"),
+        "{stored:?}"
+    );
 }
 
 #[test]
 fn orders_of_peers_are_read_with_limits() {
     let json = |text: &str| Payload::new(text.to_owned(), Encoding::JSON);
-    let order = Order::read(&json(r#"{"set":{"a":1,"b":"x","c":[1,2.5]},"reset":["d"]}"#));
+    let order = Order::read(&json(
+        r#"{"set":{"a":1,"b":"x","c":[1,2.5]},"reset":["d"]}"#,
+    ));
     assert_eq!(order.expect("valid").set.len(), 3);
     // A stock program leaves out the encoding.
     let bytes = Payload::new(r#"{"reset":true}"#, Encoding::BYTES);
@@ -158,7 +177,10 @@ fn orders_of_peers_are_read_with_limits() {
     let long = json(&format!(r#"{{"by":"{}\u001b"}}"#, "x".repeat(500)));
     assert_eq!(Order::read(&long).expect("valid").by.len(), 60);
     for (wrong, reason) in [
-        (r#"{"set":{"a":null}}"#, "a bool, number, text or list of numbers"),
+        (
+            r#"{"set":{"a":null}}"#,
+            "a bool, number, text or list of numbers",
+        ),
         (r#"{"set":{"a":{"b":1}}}"#, "list of numbers"),
         (r#"{"set":1}"#, "the request must be like"),
         (r#"{"reset":3}"#, "a list of names"),
@@ -168,7 +190,9 @@ fn orders_of_peers_are_read_with_limits() {
         assert!(refused.contains(reason), "{refused}");
     }
     let large = Payload::new(vec![b' '; 1 << 20], Encoding::JSON);
-    assert!(Order::read(&large).expect_err("too large").contains("allowed"));
+    assert!(Order::read(&large)
+        .expect_err("too large")
+        .contains("allowed"));
 }
 
 #[test]
@@ -198,7 +222,10 @@ fn a_file_that_does_not_fit_costs_only_what_does_not_fit() {
     change(&mut group, set(&[("kp", 1.0)]), now).expect("valid");
     assert_eq!(save(&mut group, now), None);
     let text = fs::read_to_string(&path).expect("written");
-    assert!(!text.contains("kp") && text.contains("old") && text.contains("up"), "{text}");
+    assert!(
+        !text.contains("kp") && text.contains("old") && text.contains("up"),
+        "{text}"
+    );
 }
 
 #[test]
@@ -235,7 +262,10 @@ fn an_edit_while_the_program_runs_remains_in_the_file() {
     change(&mut group, set(&[("turbo", false)]), now).expect("valid");
     assert_eq!(save(&mut group, now), None);
     let (next, _) = self::group(&path);
-    assert_eq!((value(&next, "kp").as_str(), value(&next, "side").as_str()), ("6", "\"right\""));
+    assert_eq!(
+        (value(&next, "kp").as_str(), value(&next, "side").as_str()),
+        ("6", "\"right\"")
+    );
     change(&mut group, set(&[("kp", 7.0)]), now).expect("valid");
     assert_eq!(save(&mut group, now), None);
     assert_eq!(value(&self::group(&path).0, "kp"), "7");
@@ -272,7 +302,10 @@ fn a_file_that_cannot_be_written_is_reported_once_and_tried_again() {
 #[test]
 fn the_path_follows_the_environment() {
     let of = |set: &[(&str, &str)]| {
-        let set: Vec<_> = set.iter().map(|(name, value)| (name.to_string(), value.to_string())).collect();
+        let set: Vec<_> = set
+            .iter()
+            .map(|(name, value)| (name.to_string(), value.to_string()))
+            .collect();
         let variable = move |name: &str| {
             let found = set.iter().find(|(known, _)| known == name);
             found.map(|(_, value)| value.into())
@@ -284,8 +317,15 @@ fn the_path_follows_the_environment() {
     let home = ("HOME", "/home/kipr");
     let expected = "/home/kipr/.local/state/rect/parameters/wombat/drive.json";
     assert_eq!(of(&[home]).as_deref(), Some(expected));
-    let all = [home, ("XDG_STATE_HOME", "/state"), ("RECT_PARAMETERS", "/kept")];
-    assert_eq!(of(&all[..2]).as_deref(), Some("/state/rect/parameters/wombat/drive.json"));
+    let all = [
+        home,
+        ("XDG_STATE_HOME", "/state"),
+        ("RECT_PARAMETERS", "/kept"),
+    ];
+    assert_eq!(
+        of(&all[..2]).as_deref(),
+        Some("/state/rect/parameters/wombat/drive.json")
+    );
     assert_eq!(of(&all).as_deref(), Some("/kept/wombat/drive.json"));
 }
 
@@ -294,7 +334,10 @@ struct Random(u64);
 
 impl Random {
     fn below(&mut self, limit: u64) -> u64 {
-        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        self.0 = self
+            .0
+            .wrapping_mul(6_364_136_223_846_793_005)
+            .wrapping_add(1_442_695_040_888_963_407);
         (self.0 >> 33) % limit
     }
 }
@@ -352,12 +395,18 @@ fn no_setting_that_was_stored_is_lost_and_none_is_half_applied_in_1000_runs() {
                     let [left, right] = ["left", "right"].map(|name| value(&group, name));
                     assert_eq!(left, right, "half applied, seed {seed}");
                     current = left.parse().expect("a number");
-                    assert!(current == stored || later.contains(&current), "lost, seed {seed}");
+                    assert!(
+                        current == stored || later.contains(&current),
+                        "lost, seed {seed}"
+                    );
                     (stored, later) = (current, Vec::new());
                 }
             }
             let [left, right] = ["left", "right"].map(|name| value(&group, name));
-            assert_eq!((&left, &right), (&current.to_string(), &current.to_string()));
+            assert_eq!(
+                (&left, &right),
+                (&current.to_string(), &current.to_string())
+            );
         }
     }
 }

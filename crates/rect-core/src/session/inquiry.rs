@@ -137,13 +137,10 @@ impl Inquiry {
                 self.stated = count_of_replies(&attachment);
                 return None;
             }
-            Ok(Sample { key, payload, .. }) => match self.place.address(&key) {
-                Some(address) => {
+            Ok(Sample { key, payload, .. }) => match self.place.robot_of(&key) {
+                Some(sender) => {
                     self.replies += 1;
-                    ReplyKind::Answer {
-                        sender: address.sender,
-                        payload,
-                    }
+                    ReplyKind::Answer { sender, payload }
                 }
                 None => ReplyKind::NotOfARobot { key },
             },

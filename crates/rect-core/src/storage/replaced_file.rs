@@ -168,10 +168,11 @@ mod tests {
             let replaced = ReplacedFile::new(&folder.path().join("connections.json"));
             assert_eq!(replaced.read(1000).expect("nothing yet"), "");
             replaced.replace("old").expect("written");
-            let result = replaced.replace_in_steps(b"new", |step| match step == interrupted_after {
-                true => Err(io::Error::other("power failure")),
-                false => Ok(()),
-            });
+            let result =
+                replaced.replace_in_steps(b"new", |step| match step == interrupted_after {
+                    true => Err(io::Error::other("power failure")),
+                    false => Ok(()),
+                });
             assert!(result.is_err());
             let is_new = matches!(interrupted_after, InPlace | Recorded);
             assert_eq!(

@@ -35,6 +35,7 @@ use super::{
     router_links::RouterLinks,
     shared::NoItems,
     state::{KeptState, Retention, State},
+    stop,
     urgency_sessions::UrgencySessions,
     warnings::{WarningSink, Warnings},
 };
@@ -81,6 +82,7 @@ pub(super) struct Inner {
     pub(super) state: Arc<State>,
     /// The state of the robot; `None` if its router keeps it.
     _kept: Option<KeptState>,
+    pub(super) stop: stop::Existing,
     /// The presence of this program.
     pub(super) program: Running<ProgramPresence>,
     /// The presence of the robot; `None` if its router has one.
@@ -138,6 +140,7 @@ impl Robot {
             recipients: OnceCell::new(),
             state,
             _kept: kept,
+            stop: stop::Existing::default(),
             direct,
             program,
             _presence: presence,

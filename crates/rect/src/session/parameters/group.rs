@@ -246,7 +246,10 @@ impl<T: Send + Sync + 'static> Shared<T> {
         while let Some(request) = requests.next().await {
             let order = Order::read(&request.payload);
             let wants_stored = order.as_ref().is_ok_and(|order| order.stored);
-            let robot = request.sender.as_ref().map_or("a Zenoh program", |robot| robot.as_str());
+            let robot = request
+                .sender
+                .as_ref()
+                .map_or("a Zenoh program", |robot| robot.as_str());
             // Errors mean that the session is closed.
             match order.and_then(|order| self.change(order, Some(robot))) {
                 Err(reason) => drop(request.refuse(reason)),
@@ -284,16 +287,17 @@ impl<T: Send + Sync + 'static> Shared<T> {
         loop {
             let work = lock(&self.group).work(Instant::now());
             match work {
-                Work::Publish(values) => {
-                    match retained.publish(topic.as_str(), values).await {
-                        Ok(()) => {}
-                        Err(Error::Closed) => return,
-                        Err(error) => {
-                            robot.inner.warnings.on_retention_problem(&error.to_string());
-                            lock(&self.group).on_not_published(Instant::now());
-                        }
+                Work::Publish(values) => match retained.publish(topic.as_str(), values).await {
+                    Ok(()) => {}
+                    Err(Error::Closed) => return,
+                    Err(error) => {
+                        robot
+                            .inner
+                            .warnings
+                            .on_retention_problem(&error.to_string());
+                        lock(&self.group).on_not_published(Instant::now());
                     }
-                }
+                },
                 Work::Save => {
                     let shared = self.clone();
                     // It fails if the runtime ends; the group is dropped then.

@@ -48,7 +48,11 @@ pub(super) enum File {
 impl<T: Parameters> GroupOptions<T> {
     /// Describes a group with the fields of `T`.
     pub fn new(group: &str) -> Self {
-        Self::of(group, T::parameters(), Box::new(|_, values| T::from_values(values.iter())))
+        Self::of(
+            group,
+            T::parameters(),
+            Box::new(|_, values| T::from_values(values.iter())),
+        )
     }
 }
 

@@ -102,7 +102,10 @@ impl Robot {
                 let reply = self.request::<Payload>(robot.clone(), topic, payload).await;
                 reply.map(|reply| reply.payload)
             }
-            true => self.request_until_stored(robot.clone(), topic, payload).await,
+            true => {
+                self.request_until_stored(robot.clone(), topic, payload)
+                    .await
+            }
         };
         match asked {
             Ok(reply) => Ok(reply.value::<InForce>()?.values),
@@ -117,7 +120,9 @@ impl Robot {
         topic: Topic,
         payload: Payload,
     ) -> Result<Payload, Error> {
-        let replies: Replies = self.request_stream(robot.clone(), topic.clone(), payload).await?;
+        let replies: Replies = self
+            .request_stream(robot.clone(), topic.clone(), payload)
+            .await?;
         let ended = || Error::Interrupted {
             robot: Some(robot.clone()),
             topic: topic.to_string(),

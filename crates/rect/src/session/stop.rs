@@ -1,0 +1,252 @@
+//! Implements the stop of a fleet.
+use std::{
+    fmt,
+    sync::{Arc, Mutex, Weak},
+    time::{Duration, SystemTime},
+};
+
+use rect_core::{
+    clock::unix::ms_since_1970,
+    message::{payload::Payload, Message},
+    name::{topic::Pattern, Name},
+    registry::connection::Event,
+    stop::{self, Confirmation, Stop, TOPIC},
+};
+use tokio::{
+    sync::{watch, Notify},
+    task::JoinHandle,
+};
+
+use super::{events::Events, robot::Robot, shared::lock, subscriber::Subscriber, warnings::warn};
+use crate::error::Error;
+
+/// How long to wait before a message is published again that could not be.
+const AGAIN_AFTER: Duration = Duration::from_secs(2);
+
+/// The stop of the fleet; created by [`Robot::fleet_stop`]. Clones are the same one.
+///
+/// While one exists, this robot takes part: it remembers stops, passes them on, and confirms them.
+#[derive(Clone)]
+pub struct FleetStop(Arc<Shared>);
+
+/// Reports changes of the stop of the fleet; created by [`FleetStop::changes`].
+#[derive(Debug)]
+pub struct StopChanges(watch::Receiver<()>);
+
+pub(super) struct Shared {
+    robot: Robot,
+    known: Mutex<stop::FleetStop>,
+    changes: watch::Sender<()>,
+    /// Wakes the task that publishes what this robot knows.
+    publish: Arc<Notify>,
+    tasks: Mutex<Vec<JoinHandle<()>>>,
+}
+
+/// The stop of this program, if there is one.
+pub(super) type Existing = tokio::sync::Mutex<Weak<Shared>>;
+
+impl Robot {
+    /// Takes part in the stop of the fleet: with it, this program stops all robots that take part, learns of a stop, and confirms it.
+    ///
+    /// A stop holds until somebody releases it. The robots remember it, on their disks as well, and pass it on: one that was out of reach
+    /// learns of it when it returns, and a program that starts again before this call returns. The motors are up to the program;
+    /// [`deadman`](Self::deadman) handles stops, and nothing moves at the release.
+    ///
+    /// ```no_run
+    /// # async fn smoke(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let stop = robot.fleet_stop().await?;
+    /// stop.press("smoke").await?;
+    /// println!("{:?}", stop.confirmation("wombat-2".parse()?));
+    /// stop.release().await?;
+    /// # Ok(()) }
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, this program does not take part.
+    pub async fn fleet_stop(&self) -> Result<FleetStop, Error> {
+        let mut existing = self.inner.stop.lock().await;
+        if let Some(shared) = existing.upgrade() {
+            return Ok(FleetStop(shared));
+        }
+        let program = self.inner.program.driver().program().clone();
+        let known =
+            stop::FleetStop::new(self.name().clone(), program.name.as_ref(), program.instance);
+        let shared = Arc::new(Shared {
+            robot: self.clone(),
+            known: Mutex::new(known),
+            changes: watch::Sender::new(()),
+            publish: Arc::default(),
+            tasks: Mutex::default(),
+        });
+        let messages = self.subscribe::<Payload>(Pattern::of(None, TOPIC)?).await?;
+        let events = self.events().await?;
+        // A program that starts again knows of a stop before it does anything.
+        if let Some(message) = self.latest::<Payload>(self.name().clone(), TOPIC).await? {
+            shared.on_message(&message);
+        }
+        let runtime = &self.inner.runtime;
+        let follow = runtime.spawn(follow(Arc::downgrade(&shared), messages, events));
+        let publish = runtime.spawn(publish(Arc::downgrade(&shared), shared.publish.clone()));
+        lock(&shared.tasks).extend([follow, publish]);
+        shared.publish.notify_one();
+        *existing = Arc::downgrade(&shared);
+        Ok(FleetStop(shared))
+    }
+}
+
+async fn follow(shared: Weak<Shared>, messages: Subscriber<Payload>, events: Events) {
+    loop {
+        tokio::select! {
+            message = messages.next() => {
+                let (Some(shared), Some(message)) = (shared.upgrade(), message) else { return };
+                shared.on_message(&message);
+            }
+            event = events.next() => {
+                let (Some(shared), Some(event)) = (shared.upgrade(), event) else { return };
+                if let Event::PeerDown { robot } = event {
+                    lock(&shared.known).on_gone(&robot);
+                    shared.changes.send_replace(());
+                }
+            }
+        }
+    }
+}
+
+async fn publish(shared: Weak<Shared>, wake: Arc<Notify>) {
+    loop {
+        wake.notified().await;
+        let Some(shared) = shared.upgrade() else {
+            return;
+        };
+        match shared.publish().await {
+            Ok(()) => {}
+            Err(Error::Closed) => return,
+            Err(error) => {
+                let warnings = &shared.robot.inner.warnings;
+                warnings.on_retention_problem(&error.to_string());
+                tokio::time::sleep(AGAIN_AFTER).await;
+                wake.notify_one();
+            }
+        }
+    }
+}
+
+impl Shared {
+    fn on_message(&self, message: &Message) {
+        if message.is_forgotten() {
+            return;
+        }
+        let has_ended = message.retained.is_some_and(|retained| retained.has_ended);
+        let learned = lock(&self.known).on_message(&message.sender, &message.payload, has_ended);
+        match learned {
+            Ok(true) => self.publish.notify_one(),
+            Ok(false) => {}
+            Err(problem) => warn(&format!(
+                "{} sends something on {TOPIC} that is no stop: {problem}",
+                message.sender
+            )),
+        }
+        self.changes.send_replace(());
+    }
+
+    /// Publishes what this program knows: at once, and then on the disk of the robot, which takes longer.
+    async fn publish(&self) -> Result<(), Error> {
+        let urgent = self.robot.urgent();
+        for retained in [urgent.retained(), urgent.retained_on_disk()] {
+            let message = lock(&self.known).message();
+            retained.publish(TOPIC, message).await?;
+        }
+        Ok(())
+    }
+}
+
+impl FleetStop {
+    /// Stops the fleet, until somebody releases it. `reason`: why, in a few words, for people; may be empty. Returns when the router of
+    /// this robot has the stop; [`confirmation`](Self::confirmation) says which robots have it.
+    ///
+    /// # Errors
+    /// [`Error::NotRetained`] if no router keeps it: only robots that are reachable now get it. [`Error::Closed`] if the session is
+    /// closed.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped after it was polled, the stop is published nevertheless.
+    pub async fn press(&self, reason: &str) -> Result<(), Error> {
+        let now = ms_since_1970(SystemTime::now());
+        lock(&self.0.known).press(reason, now);
+        self.publish().await
+    }
+
+    /// Releases all stops that this robot knows. Nothing moves yet: [`deadman`](Robot::deadman) waits for a neutral command. Nothing
+    /// happens if there is none.
+    ///
+    /// # Errors
+    /// Returns the errors of [`press`](Self::press).
+    ///
+    /// # Cancel safety
+    /// If the future is dropped after it was polled, the release is published nevertheless.
+    pub async fn release(&self) -> Result<(), Error> {
+        match lock(&self.0.known).release() {
+            true => {}
+            false => return Ok(()),
+        }
+        self.publish().await
+    }
+
+    async fn publish(&self) -> Result<(), Error> {
+        self.0.changes.send_replace(());
+        // If the future is dropped or this fails, the task does it.
+        self.0.publish.notify_one();
+        let message = lock(&self.0.known).message();
+        let urgent = self.0.robot.urgent();
+        urgent.retained().publish(TOPIC, message).await
+    }
+
+    /// Returns whether the fleet is stopped.
+    pub fn is_stopped(&self) -> bool {
+        lock(&self.0.known).is_stopped()
+    }
+
+    /// Returns the stops that nobody has released, the latest first.
+    pub fn pressed(&self) -> Vec<Stop> {
+        lock(&self.0.known).pressed()
+    }
+
+    /// Returns whether a robot has confirmed the stop, or its release; `None` if none of its programs takes part, or if it is not
+    /// reachable.
+    pub fn confirmation(&self, robot: &Name) -> Option<Confirmation> {
+        lock(&self.0.known).confirmation(robot)
+    }
+
+    /// Reports stops, releases and confirmations from now on.
+    pub fn changes(&self) -> StopChanges {
+        StopChanges(self.0.changes.subscribe())
+    }
+}
+
+impl StopChanges {
+    /// Waits until a stop, a release or a confirmation is known that was not when this was called last. Several are reported as one.
+    /// Returns `None` once this program does not take part any more.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, no change is lost.
+    pub async fn next(&mut self) -> Option<()> {
+        self.0.changed().await.ok()
+    }
+}
+
+impl Drop for Shared {
+    fn drop(&mut self) {
+        lock(&self.tasks).iter().for_each(JoinHandle::abort);
+    }
+}
+
+impl fmt::Debug for FleetStop {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("FleetStop")
+            .field("pressed", &self.pressed())
+            .finish_non_exhaustive()
+    }
+}

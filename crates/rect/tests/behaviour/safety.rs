@@ -1,0 +1,140 @@
+//! Tests the dead man's switch and the stop of a fleet: `cargo test -p rect-robot --test behaviour safety`
+use std::{
+    sync::{Arc, Mutex},
+    time::Duration,
+};
+
+use rect::{Confirmation, Deadman, Json, Robot};
+use tokio::time::{sleep, timeout};
+
+use crate::pair::{pair, TIMEOUT};
+
+/// What a robot has done: commands, and why it has lost its commander.
+#[derive(Clone, Default)]
+struct Motors(Arc<Mutex<Vec<String>>>);
+
+impl Motors {
+    async fn following(&self, robot: &Robot, within_ms: u64) -> Deadman {
+        let (on_command, on_lost) = (self.clone(), self.clone());
+        let within = Duration::from_millis(within_ms);
+        let switch = robot.deadman::<f64>(
+            "laptop/drive",
+            within,
+            move |speed| on_command.add(format!("drive {speed}")),
+            move |reason| on_lost.add(format!("lost: {reason}")),
+        );
+        switch.await.expect("a switch")
+    }
+
+    fn add(&self, entry: String) {
+        self.0.lock().expect("not poisoned").push(entry);
+    }
+
+    /// Waits for something that the robot does next, and forgets what it did before.
+    async fn until(&self, expected: &str) {
+        let is_done = || {
+            let mut all = self.0.lock().expect("not poisoned");
+            let at = all.iter().position(|entry| entry.contains(expected));
+            at.map(|at| all.drain(..=at).count()).is_some()
+        };
+        let done = async {
+            while !is_done() {
+                sleep(Duration::from_millis(5)).await;
+            }
+        };
+        let all = || self.0.lock().expect("not poisoned").join("; ");
+        timeout(TIMEOUT, done)
+            .await
+            .unwrap_or_else(|_| panic!("no {expected}: {}", all()));
+    }
+
+    fn all(&self) -> Vec<String> {
+        self.0.lock().expect("not poisoned").clone()
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_follows_while_commands_arrive() {
+    let (laptop, robot) = pair("laptop", "wombat").await;
+    let motors = Motors::default();
+    let switch = motors.following(&robot, 200).await;
+    motors.until("lost: no command has arrived yet").await;
+    // A retained message is no sign of life.
+    laptop
+        .retained()
+        .publish("drive", Json(9.0))
+        .await
+        .expect("kept");
+    laptop.publish("drive", Json(0.5)).await.expect("sent");
+    motors.until("drive 0.5").await;
+    assert!(switch.is_following());
+    motors.until("lost: no command of laptop for 200 ms").await;
+    assert!(!switch.is_following());
+    laptop.publish("drive", Json(0.7)).await.expect("sent");
+    motors.until("drive 0.7").await;
+    laptop.close().await.expect("closed");
+    motors.until("lost: ").await;
+    drop(switch);
+    motors.until("lost: the dead man's switch has ended").await;
+    assert!(motors.all().is_empty());
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stop_holds_until_it_is_released_and_the_stick_is_neutral() {
+    let (laptop, robot) = pair("laptop", "wombat").await;
+    let motors = Motors::default();
+    let _switch = motors.following(&robot, 60_000).await;
+    let stop = laptop.fleet_stop().await.expect("takes part");
+    let mut changes = stop.changes();
+    laptop.publish("drive", Json(0.5)).await.expect("sent");
+    motors.until("drive 0.5").await;
+    stop.press("smoke").await.expect("pressed");
+    motors.until("lost: stopped by laptop: smoke").await;
+    let wombat = robot.name().clone();
+    let confirmed = async {
+        while stop.confirmation(&wombat) != Some(Confirmation::Confirmed) {
+            changes.next().await.expect("takes part");
+        }
+    };
+    timeout(TIMEOUT, confirmed).await.expect("confirmed");
+    laptop.publish("drive", Json(0.0)).await.expect("sent");
+    laptop.publish("drive", Json(0.6)).await.expect("sent");
+    // The robot releases it itself, and the laptop learns of that.
+    let own = robot.fleet_stop().await.expect("the same one");
+    assert!(own.is_stopped() && own.pressed()[0].reason == "smoke");
+    sleep(Duration::from_millis(100)).await;
+    own.release().await.expect("released");
+    let released = async {
+        while stop.is_stopped() {
+            changes.next().await.expect("takes part");
+        }
+    };
+    timeout(TIMEOUT, released).await.expect("released");
+    for speed in [0.8, 0.0, 0.9] {
+        laptop.publish("drive", Json(speed)).await.expect("sent");
+    }
+    motors.until("drive 0.9").await;
+    let before = motors.all();
+    assert!(before.is_empty(), "{before:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_that_comes_later_is_stopped() {
+    let (laptop, robot) = pair("laptop", "wombat").await;
+    let stop = laptop.fleet_stop().await.expect("takes part");
+    assert_eq!(stop.confirmation(robot.name()), None);
+    stop.press("").await.expect("pressed");
+    let motors = Motors::default();
+    let _switch = motors.following(&robot, 60_000).await;
+    let own = robot.fleet_stop().await.expect("takes part");
+    let mut changes = own.changes();
+    let stopped = async {
+        while !own.is_stopped() {
+            changes.next().await.expect("takes part");
+        }
+    };
+    timeout(TIMEOUT, stopped).await.expect("stopped");
+    laptop.publish("drive", Json(0.5)).await.expect("sent");
+    sleep(Duration::from_millis(100)).await;
+    assert_eq!(motors.all(), ["lost: no command has arrived yet"]);
+}
