@@ -1,5 +1,5 @@
 //! Validates names, topics, patterns and encodings, and makes keys from them.
-use pyo3::prelude::*;
+use pyo3::{prelude::*, pybacked::PyBackedStr};
 use rect_core::{
     codec,
     message::{encoding::Encoding, payload::PayloadError, urgency::Urgency},
@@ -8,14 +8,47 @@ use rect_core::{
         topic::{Pattern, Topic},
         Name,
     },
+    parameters,
     session::publication::PublicationKey,
 };
 
-use crate::errors::OrRaise;
+use crate::errors::{raised, OrRaise};
 
 /// The keys that a program of one robot uses.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct KeySpace(pub key::KeySpace);
+
+/// A topic that RECT itself serves. No text names it.
+#[pyclass(frozen, module = "rect._rect")]
+pub struct InternalTopic(Topic);
+
+/// A topic of the Python code: a text, which is validated, or an internal topic.
+pub struct AnyTopic(pub Topic);
+
+impl<'a, 'py> FromPyObject<'a, 'py> for AnyTopic {
+    type Error = PyErr;
+
+    fn extract(object: Borrowed<'a, 'py, PyAny>) -> PyResult<Self> {
+        match object.cast::<InternalTopic>() {
+            Ok(internal) => Ok(Self(internal.get().0.clone())),
+            Err(_) => topic(&object.extract::<PyBackedStr>()?).map(Self),
+        }
+    }
+}
+
+#[pymethods]
+impl InternalTopic {
+    /// Returns the topic at which a group of parameters is changed. Raises `ParameterError`.
+    #[staticmethod]
+    fn of_parameters(py: Python<'_>, group: &str) -> PyResult<Self> {
+        let topic = Topic::of_parameters(group).map(Self);
+        topic.ok_or_else(|| raised(py, "ParameterError", (parameters::wrong_group(group),)))
+    }
+
+    fn __str__(&self) -> &str {
+        self.0.as_str()
+    }
+}
 
 /// Validates the name of a robot or fleet.
 pub fn name(text: &str) -> PyResult<Name> {
@@ -95,9 +128,9 @@ impl KeySpace {
 
     /// Returns the key under which this robot publishes on a topic or serves it, or the key of its messages to one robot.
     #[pyo3(signature = (topic, recipient=None))]
-    fn publication(&self, topic: &str, recipient: Option<&str>) -> PyResult<String> {
+    fn publication(&self, topic: AnyTopic, recipient: Option<&str>) -> PyResult<String> {
         let key = PublicationKey {
-            topic: self::topic(topic)?,
+            topic: topic.0,
             recipient: recipient.map(name).transpose()?,
             urgency: Urgency::default(),
             expires: false,

@@ -14,6 +14,7 @@ mod driver;
 mod errors;
 mod key_space;
 mod message;
+mod parameters;
 mod picture;
 mod program;
 mod publication;
@@ -51,8 +52,15 @@ mod _rect {
             registry_query, router_observer, ConnectionsReport, Driver, Report, Servers,
         },
         errors::{forget, on_one_line},
-        key_space::{check_encoding, check_name, check_topic, encoding_parts, pattern, KeySpace},
+        key_space::{
+            check_encoding, check_name, check_topic, encoding_parts, pattern, InternalTopic,
+            KeySpace,
+        },
         message::{Inbound, MessageMetadata},
+        parameters::{
+            no_parameters, parameters_file, parameters_topic, ParameterDeclaration, ParameterGroup,
+            ParameterOrder, ParameterProposal,
+        },
         picture::{array_encoding, picture, picture_encoding, read_array, read_picture, scaled},
         program::{program_name, read_catalogue, Catalogues, OfferedService, ProgramPresence},
         publication::Numbering,

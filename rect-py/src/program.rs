@@ -15,7 +15,8 @@ use crate::{
     clock::Clock,
     driver::{lock, Driver},
     errors::raised,
-    key_space::{name, topic, KeySpace},
+    key_space::{name, topic, AnyTopic, KeySpace},
+    parameters::{declaration_parts, ParameterDeclaration, ParameterParts},
 };
 
 /// The presence of this program.
@@ -38,8 +39,15 @@ pub struct OfferedService {
 
 /// The topic of a service, its description, and whether other programs may serve the topic, too.
 type EntryParts = (String, String, bool);
-/// The name of a program, its instance and its services.
-type ProgramParts = (Option<String>, String, Vec<EntryParts>);
+/// The name of a group of parameters and its declaration.
+type GroupParts<'py> = (String, Vec<ParameterParts<'py>>);
+/// The name of a program, its instance, its services and its groups of parameters.
+type ProgramParts<'py> = (
+    Option<String>,
+    String,
+    Vec<EntryParts>,
+    Vec<GroupParts<'py>>,
+);
 
 #[pymethods]
 impl Catalogues {
@@ -90,15 +98,20 @@ impl ProgramPresence {
         Driver::shared(&self.core, &self.clock)
     }
 
-    /// Begins to offer a service. Raises `ServiceRefused`.
+    /// Begins to offer a service, or changes of parameters. Raises `ServiceRefused`.
+    #[pyo3(signature = (topic, about, several, parameters=None))]
     fn offer(
         &self,
         py: Python<'_>,
-        topic: &str,
+        topic: AnyTopic,
         about: &str,
         several: bool,
+        parameters: Option<&ParameterDeclaration>,
     ) -> PyResult<OfferedService> {
-        let entry = ServiceEntry::new(self::topic(topic)?, about, several);
+        let entry = ServiceEntry {
+            parameters: parameters.map(|declaration| declaration.0.clone()),
+            ..ServiceEntry::new(topic.0, about, several)
+        };
         let program = lock(&self.core).offer(&entry);
         match program {
             Ok(program) => Ok(OfferedService { entry, program }),
@@ -128,15 +141,13 @@ impl ProgramPresence {
     }
 
     /// Handles that another program serves a topic, because this one did not answer.
-    fn on_taken_over(&self, topic: &str) -> PyResult<()> {
-        lock(&self.core).on_taken_over(&self::topic(topic)?);
-        Ok(())
+    fn on_taken_over(&self, topic: AnyTopic) {
+        lock(&self.core).on_taken_over(&topic.0);
     }
 
     /// Handles that a service has ended.
-    fn on_ended(&self, topic: &str) -> PyResult<()> {
-        lock(&self.core).on_ended(&self::topic(topic)?);
-        Ok(())
+    fn on_ended(&self, topic: AnyTopic) {
+        lock(&self.core).on_ended(&topic.0);
     }
 }
 
@@ -148,15 +159,19 @@ pub fn program_name(file: &str) -> Option<String> {
 
 /// Reads the catalogue of a robot. Raises `PayloadError`.
 #[pyfunction]
-pub fn read_catalogue(py: Python<'_>, bytes: &[u8]) -> PyResult<Vec<ProgramParts>> {
+pub fn read_catalogue<'py>(py: Python<'py>, bytes: &[u8]) -> PyResult<Vec<ProgramParts<'py>>> {
     let programs = catalogue::read(bytes)
         .map_err(|error| raised(py, "PayloadError", (error.to_string(), "read")))?;
     let parts =
         |entry: &ServiceEntry| (entry.topic.to_string(), entry.about.clone(), entry.several);
     let programs = programs.into_iter().map(|program| {
         let name = program.name.as_ref().map(ToString::to_string);
-        let services = program.requestable().map(parts);
-        (name, program.instance.to_string(), services.collect())
+        let services = program.requestable().map(parts).collect();
+        let groups = program.parameters().map(|(group, declaration)| {
+            Ok((group.to_owned(), declaration_parts(py, declaration)?))
+        });
+        let groups = groups.collect::<PyResult<_>>()?;
+        Ok((name, program.instance.to_string(), services, groups))
     });
-    Ok(programs.collect())
+    programs.collect()
 }

@@ -27,7 +27,7 @@ use crate::{
     clock::Clock,
     codec::{parts, payload, Parts},
     driver::{bytes_of, get, lock, seconds, Driver},
-    key_space::{name, topic, KeySpace},
+    key_space::{name, AnyTopic, KeySpace},
     urgency,
 };
 
@@ -47,14 +47,14 @@ impl Inquiry {
     fn new(
         key_space: &KeySpace,
         robot: Option<&str>,
-        topic: &str,
+        topic: AnyTopic,
         timeout_s: f64,
         ids: &RequestIds,
         is_stream: bool,
     ) -> PyResult<Self> {
         let robot = robot.map(name).transpose()?;
         let place = key_space.0.clone();
-        let topic = self::topic(topic)?;
+        let AnyTopic(topic) = topic;
         let inquiry = inquiry::Inquiry::new(place, robot, topic, seconds(timeout_s), &ids.0);
         let inquiry = if is_stream { inquiry.stream() } else { inquiry };
         Ok(Self(Mutex::new(inquiry)))

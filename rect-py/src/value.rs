@@ -26,7 +26,7 @@ use crate::{
 };
 
 /// A value of JSON or CBOR.
-enum Value {
+pub enum Value {
     Null,
     Bool(bool),
     Int(i64),
@@ -77,6 +77,11 @@ pub fn read_value<'py>(
 ) -> PyResult<Bound<'py, PyAny>> {
     let value: Value = payload(bytes, encoding).value().or_raise()?;
     value.into_python(py)
+}
+
+/// Converts a value of Python. Raises `PayloadError`.
+pub fn plain(value: &Bound<'_, PyAny>) -> PyResult<Value> {
+    read(value, Form::Cbor, &mut Path::default())
 }
 
 /// The path to a part of a value, for error messages: `reading.angles[2]`.

@@ -23,11 +23,14 @@ from rect.errors import (
     InvalidTopicError,
     LoginRefused,
     MismatchError,
+    NoParameters,
     NoRouter,
     NoService,
     NotReachable,
     NotRetained,
+    NotStored,
     OptionError,
+    ParameterError,
     PayloadError,
     RecordingError,
     RectError,
@@ -43,6 +46,8 @@ from rect.errors import (
 )
 from rect.events import Counters, Event, Events
 from rect.message import Message, Retained
+from rect.parameter_types import Bool, Choice, Integer, Number, Numbers, Parameter, Text
+from rect.parameters import GroupOptions, ParameterChange, ParameterGroup
 from rect.program import Program, ServiceEntry
 from rect.publisher import Publisher
 from rect.recording import RecordedEvent, RecordedMessage, RecordedRequest, Recorder, Recording
@@ -57,7 +62,9 @@ from rect.transfer import OutgoingTransfer, Progress, Received, Transfers
 from rect.values import Cbor, Payload, Picture
 
 __all__ = [
+    "Bool",
     "Cbor",
+    "Choice",
     "Closed",
     "Codec",
     "CodecError",
@@ -73,6 +80,8 @@ __all__ = [
     "FileError",
     "Frame",
     "Gathered",
+    "GroupOptions",
+    "Integer",
     "Interrupted",
     "InvalidNameError",
     "InvalidTopicError",
@@ -82,13 +91,21 @@ __all__ = [
     "LossyFormat",
     "Message",
     "MismatchError",
+    "NoParameters",
     "NoRouter",
     "NoService",
     "NotReachable",
     "NotRetained",
+    "NotStored",
+    "Number",
+    "Numbers",
     "OptionError",
     "Outcome",
     "OutgoingTransfer",
+    "Parameter",
+    "ParameterChange",
+    "ParameterError",
+    "ParameterGroup",
     "Payload",
     "PayloadError",
     "Peer",
@@ -120,6 +137,7 @@ __all__ = [
     "StreamSender",
     "Subscriber",
     "Subscription",
+    "Text",
     "ThreadError",
     "TimedOut",
     "TransferError",

@@ -30,6 +30,9 @@ from rect.events import Counters, Event
 from rect.events import Events as BlockingEvents
 from rect.message import Message
 from rect.options import Options, seconds, text
+from rect.parameter_types import Declared
+from rect.parameters import GroupExecutor, GroupOptions, OnChangeT, executor_of
+from rect.parameters import ParameterGroup as BlockingParameterGroup
 from rect.program import Program, ServiceEntry
 from rect.publisher import Publisher as BlockingPublisher
 from rect.receive_queue import DEFAULT_CAPACITY, Ended
@@ -369,6 +372,33 @@ class Robot:
         if not callable(handler):
             raise TypeError(f"handler must be a function, not {type(handler).__name__}")
         return Service(self, topic, handler, about, allow_several)
+
+    async def parameters(
+        self, group: str, options: GroupOptions | None = None, /, **parameters: Declared
+    ) -> ParameterGroup:
+        """Declares a group of parameters; see `rect.Robot.parameters`."""
+        executor = await asyncio.to_thread(executor_of, self._session, group, options, parameters)
+        return ParameterGroup(self, executor)
+
+    async def set_parameters(
+        self,
+        robot: str,
+        group: str,
+        values: Mapping[str, Any] | None = None,
+        /,
+        *,
+        reset: bool | Sequence[str] = False,
+        stored: bool = False,
+        **more: Any,
+    ) -> dict[str, Any]:
+        """Changes parameters of a program of `robot`; see `rect.Robot.set_parameters`.
+
+        If the task is cancelled, the parameters may be changed or not.
+        """
+        values = {**(values or {}), **more}
+        return await asyncio.to_thread(
+            lambda: self._robot.set_parameters(robot, group, values, reset=reset, stored=stored)
+        )
 
     def stream(self, topic: str, **options: Any) -> StreamSender:
         """Opens a stream for sending frames; see `rect.Robot.stream`."""
@@ -761,6 +791,34 @@ class Subscription(Generic[T]):
                     await result
             except Exception:
                 _LOG.exception("the callback for %s raised an exception", self._about)
+
+
+class ParameterGroup(BlockingParameterGroup):
+    """A group of parameters of this program, which are its attributes; see `rect.ParameterGroup`.
+
+    The functions that check a change are called in the event loop, too, and are no `async def`.
+    """
+
+    __slots__ = ("_robot",)
+    _robot: Robot
+
+    def __init__(self, robot: Robot, executor: GroupExecutor) -> None:
+        super().__init__(executor)
+        self._robot = robot
+        robot.begin(executor.serve_async())
+
+    def on_change(self, callback: OnChangeT) -> OnChangeT:
+        """Calls `callback` after each change, in the event loop; see `rect.ParameterGroup.on_change`."""
+        changes = self._executor.changes(callback)
+        source = _Source(changes, "change", changes.queue.pop_async)
+        Subscription(self._robot, source, callback, f"changes of {self._executor.name}")
+        return callback
+
+    async def __aenter__(self) -> ParameterGroup:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self.close()
 
 
 class StreamSender(_Handle):

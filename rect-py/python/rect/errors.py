@@ -139,6 +139,36 @@ class ServiceRefused(RectError):
     """The program cannot serve a topic: another program of this robot serves it already."""
 
 
+class ParameterError(RectError, ValueError):
+    """A declaration of parameters is invalid, or one of this program's own values is refused. The text says why."""
+
+
+class NoParameters(RectError, LookupError):
+    """No program of the robot has the group of parameters. Is its program running?
+
+    A robot that was configured by an earlier version lacks the rule for `@rect/@set/parameters/**` in its access
+    control.
+    """
+
+    def __init__(self, robot: str, group: str, available: list[str]) -> None:
+        super().__init__(_rect.no_parameters(robot, group, available))
+        #: Name of the robot.
+        self.robot = robot
+        #: Name of the group.
+        self.group = group
+        #: Names of the groups that the robot has.
+        self.available = available
+
+
+class NotStored(RectError):
+    """The values are in force, but are lost when the program of the robot ends. The text names the file, if any."""
+
+    def __init__(self, robot: str, reason: str) -> None:
+        super().__init__(f"{robot} uses the values, and has not stored them: {reason}")
+        #: Name of the robot.
+        self.robot = robot
+
+
 class Interrupted(RectError, ConnectionError):
     """A request may have been carried out, and no reply follows: the service's program, a router or the link ended.
 

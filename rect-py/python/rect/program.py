@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import random
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from rect import _rect, registry
 from rect.errors import ServiceRefused
 from rect.executor import Executor
+from rect.parameter_types import Parameter, parameters_of
 
 if TYPE_CHECKING:
     from rect.session import Session
@@ -37,6 +38,8 @@ class Program:
     instance: str
     #: Its services, in alphabetical order.
     services: tuple[ServiceEntry, ...]
+    #: The parameters of each of its groups, by their names.
+    parameters: dict[str, dict[str, Parameter]] = field(default_factory=dict, hash=False)
 
 
 def name_of_script() -> str | None:
@@ -49,8 +52,13 @@ def programs_of(session: Session, robot: str) -> list[Program]:
     query = session.catalogues.query(session.key_space, robot)
     catalogue = registry.answer(session, robot, query).bytes
     return [
-        Program(name, instance, tuple(ServiceEntry(*parts) for parts in services))
-        for name, instance, services in _rect.read_catalogue(catalogue)
+        Program(
+            name,
+            instance,
+            tuple(ServiceEntry(*parts) for parts in services),
+            {group: parameters_of(parameters) for group, parameters in groups},
+        )
+        for name, instance, services, groups in _rect.read_catalogue(catalogue)
     ]
 
 
@@ -59,6 +67,7 @@ class Presence:
 
     def __init__(self, session: Session, name: str | None) -> None:
         self._session = session
+        self.name = name
         #: Distinguishes this run of the program from all others.
         self.instance = random.getrandbits(32)
         #: The requests that this program carries out at most once.
@@ -68,9 +77,18 @@ class Presence:
         self._executor = Executor(session, self._core.driver(), session.warn)
         self._executor.start("rect program")
 
-    def serve(self, topic: str, about: str, allow_several: bool) -> None:
-        """Announces a service, which is then declared. Raises `ServiceRefused` and `Closed`."""
-        offered = self._core.offer(topic, about, allow_several)
+    def serve(
+        self,
+        topic: str | _rect.InternalTopic,
+        about: str,
+        allow_several: bool,
+        parameters: _rect.ParameterDeclaration | None = None,
+    ) -> None:
+        """Announces a service, or a group of parameters, which is then declared.
+
+        Raises `ServiceRefused` and `Closed`.
+        """
+        offered = self._core.offer(topic, about, allow_several, parameters)
         outcome, detail = "unanswered", None
         if not self._session.is_direct:
             outcome, detail = Executor(self._session, self._core.registration(self._session.key_space, offered)).run()
@@ -81,7 +99,7 @@ class Presence:
         self._core.on_served(offered, outcome == "accepted", detail)
         self._executor.wake()
 
-    def is_taken_over(self, topic: str) -> bool:
+    def is_taken_over(self, topic: str | _rect.InternalTopic) -> bool:
         """Returns whether the router refuses to register a service again, because another program serves its topic."""
         outcome, _ = Executor(self._session, self._core.renewal(self._session.key_space)).run()
         if outcome != "refused":
@@ -90,7 +108,7 @@ class Presence:
         self._executor.wake()
         return True
 
-    def end(self, topic: str) -> None:
+    def end(self, topic: str | _rect.InternalTopic) -> None:
         """Announces the end of a service."""
         self._core.on_ended(topic)
         self._executor.wake()

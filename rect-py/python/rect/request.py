@@ -36,7 +36,7 @@ class Replies(Generic[T]):
         self,
         session: Session,
         robot: str | None,
-        topic: str,
+        topic: str | _rect.InternalTopic,
         payload: Payload,
         urgency: str,
         timeout: float,
@@ -46,7 +46,7 @@ class Replies(Generic[T]):
         self._session = session
         self._converter = converter
         #: The robot that was asked (`None` if all were), and the topic.
-        self.asked = robot, topic
+        self.asked = robot, str(topic)
         self._is_end_reported = False
         self._inquiry = _rect.Inquiry(session.key_space, robot, topic, timeout, session.program.request_ids, is_stream)
         self._timeout = timeout

@@ -16,6 +16,9 @@ from rect.events import Counters, Event, Events
 from rect.message import Message
 from rect.opening import open_session
 from rect.options import Options, lifetime_of, seconds, text, whole
+from rect.parameter_orders import set_parameters
+from rect.parameter_types import Declared
+from rect.parameters import GroupOptions, ParameterGroup, executor_of
 from rect.program import Program, ServiceEntry, programs_of
 from rect.publisher import Publisher
 from rect.receive_queue import DEFAULT_CAPACITY
@@ -589,6 +592,70 @@ class Robot:
         if not callable(handler):
             raise TypeError(f"handler must be a function, not {type(handler).__name__}")
         return Service(self._session, topic, handler, about, allow_several)
+
+    def parameters(self, group: str, options: GroupOptions | None = None, /, **parameters: Declared) -> ParameterGroup:
+        """Declares a group of parameters: values of this program that people tune while it runs, such as a gain.
+
+        They are set with `set_parameters`, `rect param`, and on the dashboard, and kept in a file, so that they survive
+        a restart. In the program they are attributes of the group.
+
+        - `options`: a `GroupOptions` with the purpose of the group, and the file.
+        - `parameters`: the parameters with their types: a `Number`, `Integer`, `Choice`, `Text`, `Bool` or `Numbers`. A
+          value alone declares one with that default and any range.
+
+        Raises `ParameterError` if the declaration is invalid, `ServiceRefused` if a program of this robot has a group
+        of that name already, `Closed`, and `TypeError`. A file that cannot be read or does not fit is logged as a
+        warning.
+
+        >>> import rect
+        >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
+        ...     gain = rect.Number(1.0, min=0, max=10, unit="1/s", about="gain of the heading")
+        ...     side = rect.Choice("left", "right")
+        ...     in_memory = rect.GroupOptions(file=False)
+        ...     drive = robot.parameters("drive", in_memory, kp=gain, side=side, turbo=False)
+        ...     drive.kp = 2.0
+        ...     drive.kp, drive.side, drive.turbo
+        (2.0, 'left', False)
+        """
+        executor = executor_of(self._session, group, options, parameters)
+        executor.serve()
+        return ParameterGroup(executor)
+
+    def set_parameters(
+        self,
+        robot: str,
+        group: str,
+        values: Mapping[str, Any] | None = None,
+        /,
+        *,
+        reset: bool | Sequence[str] = False,
+        stored: bool = False,
+        **more: Any,
+    ) -> dict[str, Any]:
+        """Changes parameters of a program of `robot`: all or none.
+
+        Returns those that the call names, with the values that are in force now. Access control may permit it to some
+        only (`@rect/@set/parameters/**`).
+
+        - `values`, and keywords: the new values, by the names of the parameters.
+        - `reset`: a list of the parameters that get their defaults, or `True` for all except for those that are
+          read-only.
+        - `stored`: whether to wait until the values are stored. Default: until they are in force, which is up to a
+          second earlier.
+
+        Raises `ServiceError` with the reason if the program refuses a value, `NoParameters` if the robot has no such
+        group, `NotStored` if the values are in force and its program cannot store them, `ParameterError` if a value is
+        of a type that no parameter has, and the other errors of `request`.
+
+        >>> import rect
+        >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
+        ...     drive = robot.parameters("drive", rect.GroupOptions(file=False), kp=1.0)
+        ...     robot.set_parameters("wombat-1", "drive", kp=2.0)
+        {'kp': 2.0}
+        """
+        self._session.check()
+        asked = text("robot", robot), text("group", group)
+        return set_parameters(self._session, *asked, {**(values or {}), **more}, reset, stored)
 
     def stream(
         self,

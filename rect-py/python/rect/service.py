@@ -221,16 +221,23 @@ class Request(Generic[T]):
 
 
 class Requests:
-    """Receives the requests to a service."""
+    """Receives the requests to a service, or the orders to change a group of parameters (without a handler)."""
 
     def __init__(
-        self, session: Session, topic: str, handler: Callable[..., Any], about: str | None, allow_several: bool
+        self,
+        session: Session,
+        topic: str | _rect.InternalTopic,
+        handler: Callable[..., Any] | None,
+        about: str | None,
+        allow_several: bool,
+        parameters: _rect.ParameterDeclaration | None = None,
     ) -> None:
-        converter = request_converter(handler)
+        converter = None if handler is None else request_converter(handler)
         if about is None:
             about = (inspect.getdoc(handler) or "").partition("\n")[0]
-        session.program.serve(topic, about, allow_several)
+        session.program.serve(topic, about, allow_several, parameters)
         self._session = session
+        self._topic = topic
         self._converter = converter
         #: Held while the router is asked whether another program serves the topic.
         self._checking = threading.Lock()
@@ -305,7 +312,7 @@ class Requests:
 
     def _end_if_taken_over(self) -> None:
         with contextlib.suppress(Closed):
-            if self._session.program.is_taken_over(self._key.split("/", 2)[2]):
+            if self._session.program.is_taken_over(self._topic):
                 self._declared.end()
         self._checking.release()
 

@@ -45,19 +45,26 @@ class Declaring(Ending, Protocol):
 class Presence(Protocol):
     """The presence of this program: its name, and what it serves."""
 
+    name: str | None
     instance: int
     request_ids: _rect.RequestIds
     once: _rect.Once
 
-    def serve(self, topic: str, about: str, allow_several: bool) -> None:
-        """Announces a service, which is then declared."""
+    def serve(
+        self,
+        topic: str | _rect.InternalTopic,
+        about: str,
+        allow_several: bool,
+        parameters: _rect.ParameterDeclaration | None = None,
+    ) -> None:
+        """Announces a service, or a group of parameters, which is then declared."""
         ...
 
-    def is_taken_over(self, topic: str) -> bool:
+    def is_taken_over(self, topic: str | _rect.InternalTopic) -> bool:
         """Returns whether another program serves a topic now, because this one did not answer."""
         ...
 
-    def end(self, topic: str) -> None:
+    def end(self, topic: str | _rect.InternalTopic) -> None:
         """Announces the end of a service."""
         ...
 
@@ -276,18 +283,22 @@ class Session:
     def start(self, name: str, run: Callable[[], object]) -> None:
         """Runs a function on a new thread, which has to end soon after the session is closed."""
         thread = threading.Thread(target=run, name=name, daemon=True)
-        self._threads.add(thread)
-        try:
-            thread.start()
-        except RuntimeError as error:
-            raise ThreadError(str(error)) from error
+        # `close`, on another thread, can only wait for a thread that runs.
+        with self._lock:
+            try:
+                thread.start()
+            except RuntimeError as error:
+                raise ThreadError(str(error)) from error
+            self._threads.add(thread)
 
     def _finish(self) -> None:
         """Waits for threads that are still inside Zenoh: none may be there when Python exits."""
         for publication in self._all_publications():
             publication.finish(_FINISH_S)
         self.calls.end(_FINISH_S)
-        for thread in list(self._threads):
+        with self._lock:
+            threads = list(self._threads)
+        for thread in threads:
             if thread is not threading.current_thread():
                 thread.join(_FINISH_S)
 

@@ -1,0 +1,56 @@
+"""Changes the parameters of programs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from rect import _rect
+from rect.errors import NoParameters, NoService, NotStored, RectError
+from rect.program import programs_of
+from rect.request import Replies
+from rect.values import Payload
+
+if TYPE_CHECKING:
+    from rect.session import Session
+
+
+def set_parameters(
+    session: Session, robot: str, group: str, values: Mapping[str, Any], reset: bool | Sequence[str], stored: bool
+) -> dict[str, Any]:
+    """Changes parameters of a program of a robot. Returns the values that are in force.
+
+    Raises the errors of `Robot.set_parameters`.
+    """
+    is_list = isinstance(reset, Sequence) and not isinstance(reset, str)
+    if not isinstance(reset, bool) and not is_list:
+        raise TypeError(f"reset must be True or a list of names, not {type(reset).__name__}")
+    topic = _rect.InternalTopic.of_parameters(group)
+    order = _rect.ParameterOrder(dict(values), reset, stored, session.program.name)
+    timeout = _rect.DEFAULT_TIMEOUT_S
+    payload = Payload(*order.payload())
+    replies: Replies[Any] = Replies(session, robot, topic, payload, "normal", timeout, None, is_stream=stored)
+    try:
+        in_force = _next(replies)
+        if stored:
+            confirmation = _next(replies)
+            if not confirmation["stored"]:
+                raise NotStored(robot, confirmation.get("reason", ""))
+    except NoService:
+        raise NoParameters(robot, group, _groups_of(session, robot)) from None
+    finally:
+        replies.leave()
+    return dict(in_force["values"])
+
+
+def _next(replies: Replies[Any]) -> Any:
+    for reply in replies:
+        return reply.value
+    raise replies.unanswered(list)
+
+
+def _groups_of(session: Session, robot: str) -> list[str]:
+    try:
+        return [group for program in programs_of(session, robot) for group in program.parameters]
+    except RectError:
+        return []
