@@ -19,8 +19,11 @@ use foxglove::{
     websocket::{service::Service, Capability, Parameter},
     Context, FoxgloveError, WebSocketServer, WebSocketServerHandle,
 };
-use rect::{Name, Pattern, Robot};
-use rect_core::registry::topics::{Topics, KEPT};
+use rect::{Message, Name, Pattern, Robot, Subscriber};
+use rect_core::{
+    parameters::order::Snapshot,
+    registry::topics::{Topics, KEPT},
+};
 use rect_dashboard::topics::query;
 use tokio::{
     sync::{mpsc, watch},
@@ -33,7 +36,7 @@ use self::{
     input::Input,
     listener::Listener,
     live::Live,
-    parameters::Parameters,
+    parameters::{Parameters, Shown},
     services::{Found, Services},
 };
 use crate::{session::JoinArguments, Done, Failure};
@@ -67,7 +70,7 @@ pub struct FoxgloveArguments {
     /// computer serves; can be repeated
     #[arg(long = "site", value_name = "ORIGIN")]
     sites: Vec<String>,
-    /// Let viewers publish as this robot, and send messages to others on /to/<robot>/<topic>
+    /// Let viewers publish as this robot, send messages to others on /to/<robot>/<topic>, and change the parameters of programs
     #[arg(long)]
     publish: bool,
     /// Let viewers send requests to the services that match, such as wombat-2/battery or '*/**'; can be repeated
@@ -95,6 +98,7 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
     let viewers = Viewers {
         robot: robot.clone(),
         context: Context::new(),
+        shown: Shown::new(arguments.patterns.clone()),
         publishes: input.is_some(),
         listener: Arc::new(Listener::new(send, input)),
     };
@@ -113,11 +117,15 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
     }
     let mut live = Live::new(robot.clone(), viewers.context.clone(), arguments.patterns);
     let mut asking = JoinSet::<Result<Answers, Failure>>::new();
+    let mut values = None;
     let mut tick = interval(UPDATED_EVERY);
     let mut ask_at = Instant::now();
     while !robot.is_closed() {
         tokio::select! {
             Some(event) = events.recv() => live.on_event(event),
+            Some(message) = next(values.as_ref()) => {
+                server.publish_parameter_values(viewers.shown.on_message(message));
+            }
             Some(address) = has_ended.recv() => if address == *current.borrow() {
                 match viewers.start(services.offered()).await {
                     Ok((again, address)) => {
@@ -148,6 +156,11 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
             _ = tick.tick() => {}
         }
         // Nobody is asked while no viewer is connected.
+        match (server.client_count(), &values) {
+            (0, _) => values = None,
+            (_, None) => values = Some(Shown::subscribe(&robot).await?),
+            _ => {}
+        }
         if server.client_count() > 0 && asking.is_empty() && Instant::now() >= ask_at {
             let robot = robot.clone();
             asking.spawn(async move {
@@ -156,7 +169,7 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
                 let robots: Vec<_> = names.filter_map(Result::ok).collect();
                 Ok(Answers {
                     services: services::find(&robot, robots).await?,
-                    parameters: parameters::all(&robot).await?,
+                    parameters: parameters::connections(&robot).await?,
                     topics,
                 })
             });
@@ -165,6 +178,14 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
     }
     rect_terminal::errln!("rect: the router has ended the connection");
     Ok(ExitCode::FAILURE)
+}
+
+/// Waits for the next values of a group of parameters.
+async fn next(values: Option<&Subscriber<Snapshot>>) -> Option<Message<Snapshot>> {
+    match values {
+        Some(values) => values.next().await,
+        None => std::future::pending().await,
+    }
 }
 
 /// The answers of the routers.
@@ -179,6 +200,7 @@ struct Viewers {
     robot: Robot,
     context: Arc<Context>,
     listener: Arc<Listener>,
+    shown: Shown,
     publishes: bool,
 }
 
@@ -197,6 +219,7 @@ impl Viewers {
             capabilities.push(Capability::ClientPublish);
         }
         let address = gate::hidden_address();
+        let parameters = Parameters::new(self.robot.clone(), self.shown.clone(), self.publishes);
         let server = WebSocketServer::new()
             .name(format!("RECT, fleet {}", self.robot.fleet()))
             .bind(address.to_string(), 0)
@@ -204,7 +227,7 @@ impl Viewers {
             .capabilities(capabilities)
             .supported_encodings(["json"])
             .services(services)
-            .parameter_handler(Arc::new(Parameters::new(self.robot.clone())))
+            .parameter_handler(Arc::new(parameters))
             .message_backlog_size(BACKLOG)
             .listener(self.listener.clone())
             .start()

@@ -12,6 +12,7 @@ mod foxglove;
 mod keyboard;
 mod manual;
 mod measure;
+mod parameter;
 mod payload;
 mod program;
 mod publish;
@@ -51,6 +52,7 @@ Examples on a robot with a router (`sudo rect init wombat-1 --start` configures 
   rect sub '*/arm/*'                       # prints the messages of all robots on these topics
   rect send wombat-2 grab '{\"force\": 3}'   # sends to one robot only
   rect stream watch wombat-2/camera        # receives a stream of pictures
+  rect param set wombat-2/drive kp=2.0     # changes a parameter of a program that runs
   rect transfer send wombat-2 map.bin      # sends a file of any size
   rect record                              # records this robot's messages; `rect replay` plays them
   rect connect base tcp 10.0.0.2 --port 7447  # adds a named connection
@@ -90,6 +92,7 @@ enum Command {
     Topic(topic::TopicArguments),
     Program(program::ProgramArguments),
     Service(program::ServiceArguments),
+    Param(parameter::ParamArguments),
     Transfer(transfer::TransferArguments),
     Record(record::RecordArguments),
     Replay(replay::ReplayArguments),
@@ -152,6 +155,7 @@ fn main() -> ExitCode {
         Command::Topic(arguments) => wait_on_one_thread(topic::run(arguments)),
         Command::Program(arguments) => wait_on_one_thread(program::programs(arguments)),
         Command::Service(arguments) => wait_on_one_thread(program::services(arguments)),
+        Command::Param(arguments) => wait_on_one_thread(parameter::run(arguments)),
         Command::Transfer(arguments) => wait(transfer::run(arguments)),
         Command::Record(arguments) => record::run(arguments),
         Command::Replay(arguments) => wait(replay::run(arguments)),

@@ -123,8 +123,8 @@ pub async fn find(robot: &Robot, robots: impl IntoIterator<Item = Name>) -> Resu
         };
         for program in programs {
             let title = format!("{name}/{}", program.title());
-            let services = program.services.into_iter().map(|service| {
-                let (robot, topic) = (name.clone(), service.topic);
+            let services = program.requestable().map(|service| {
+                let (robot, topic) = (name.clone(), service.topic.clone());
                 (RobotTopic { robot, topic }, title.clone())
             });
             found.extend(services);

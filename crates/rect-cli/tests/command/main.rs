@@ -1,6 +1,7 @@
 //! Tests the command `rect`, connected to robots in the test's own process: `cargo test -p rect-cli --test command`
 #[path = "../../../rect/tests/pair/mod.rs"]
 mod pair;
+mod parameter;
 mod program;
 mod recording;
 mod tool;
