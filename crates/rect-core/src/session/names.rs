@@ -47,6 +47,12 @@ pub fn not_reachable(robot: &Name, reachable: &[Name]) -> String {
 
 /// Returns the error that a robot has no group of parameters of that name.
 pub fn no_parameters(robot: &Name, group: &str, available: &[String]) -> String {
+    if available.iter().any(|known| known == group) {
+        return format!(
+            "{robot} has the parameters {group}, and the access control of a router on the way lets nobody change them: it needs the key \
+             expression <fleet>/*/@rect/@set/parameters/** (docs/how-to/tune.md)"
+        );
+    }
     let names = available.iter().map(String::as_str);
     let groups = in_words("its groups", group, names);
     format!("no program of {robot} has the parameters {group}; {groups}")

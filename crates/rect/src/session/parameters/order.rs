@@ -1,5 +1,8 @@
 //! Changes the parameters of programs.
-use std::collections::BTreeMap;
+use std::{
+    collections::BTreeMap,
+    time::{Duration, Instant},
+};
 
 use rect_core::{
     message::payload::Payload,
@@ -11,10 +14,16 @@ use rect_core::{
     },
 };
 
+use tokio::time::sleep;
+
 use crate::{
     error::{valid, Error},
     session::{request::Replies, robot::Robot},
 };
+
+/// The time within which a group that the catalogue lists can be reached, and the pause between two attempts.
+const DECLARED_WITHIN: Duration = Duration::from_secs(1);
+const PAUSE: Duration = Duration::from_millis(100);
 
 /// What to change in a group of parameters, all or nothing. An array of names and values is one: `[("kp", 2.0)]`.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -95,34 +104,42 @@ impl Robot {
         if let Some(program) = &self.inner.program.driver().program().name {
             order.by = program.to_string();
         }
-        let is_stored = order.stored;
         let payload = to_cbor(&order);
-        let asked = match is_stored {
-            false => {
-                let reply = self.request::<Payload>(robot.clone(), topic, payload).await;
-                reply.map(|reply| reply.payload)
+        let until = Instant::now() + DECLARED_WITHIN;
+        loop {
+            match self.order(&robot, &topic, &payload, order.stored).await {
+                Ok(reply) => return Ok(reply.value::<InForce>()?.values),
+                // A group that was just declared may be in the catalogue before it can be reached.
+                Err(Error::NoService { .. }) => {
+                    let available = self.groups(&robot).await;
+                    if Instant::now() >= until || !available.iter().any(|known| known == group) {
+                        let group = group.to_owned();
+                        return Err(Error::NoParameters {
+                            robot,
+                            group,
+                            available,
+                        });
+                    }
+                    sleep(PAUSE).await;
+                }
+                Err(error) => return Err(error),
             }
-            true => {
-                self.request_until_stored(robot.clone(), topic, payload)
-                    .await
-            }
-        };
-        match asked {
-            Ok(reply) => Ok(reply.value::<InForce>()?.values),
-            Err(Error::NoService { .. }) => Err(self.no_parameters(robot, group).await),
-            Err(error) => Err(error),
         }
     }
 
-    async fn request_until_stored(
+    /// Sends an order once. Returns the reply with the values that are in force, if `stored` after they are stored.
+    async fn order(
         &self,
-        robot: Name,
-        topic: Topic,
-        payload: Payload,
+        robot: &Name,
+        topic: &Topic,
+        order: &Payload,
+        stored: bool,
     ) -> Result<Payload, Error> {
-        let replies: Replies = self
-            .request_stream(robot.clone(), topic.clone(), payload)
-            .await?;
+        if !stored {
+            let asked = self.request::<Payload>(robot, topic.clone(), order);
+            return Ok(asked.await?.payload);
+        }
+        let replies: Replies = self.request_stream(robot, topic.clone(), order).await?;
         let ended = || Error::Interrupted {
             robot: Some(robot.clone()),
             topic: topic.to_string(),
@@ -133,20 +150,16 @@ impl Robot {
         match stored.stored {
             true => Ok(in_force.payload),
             false => Err(Error::NotStored {
-                robot,
+                robot: robot.clone(),
                 reason: stored.reason,
             }),
         }
     }
 
-    /// Returns the error that a robot has no such group, with those that it has.
-    async fn no_parameters(&self, robot: Name, group: &str) -> Error {
-        let programs = self.programs(&robot).await.unwrap_or_default();
+    /// Returns the groups of parameters of a robot, as its catalogue lists them.
+    async fn groups(&self, robot: &Name) -> Vec<String> {
+        let programs = self.programs(robot).await.unwrap_or_default();
         let groups = programs.iter().flat_map(|program| program.parameters());
-        Error::NoParameters {
-            group: group.to_owned(),
-            available: groups.map(|(group, _)| group.to_owned()).collect(),
-            robot,
-        }
+        groups.map(|(group, _)| group.to_owned()).collect()
     }
 }
