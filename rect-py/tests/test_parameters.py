@@ -252,16 +252,16 @@ def test_program_checks_changes(pair: Pair, caplog: pytest.LogCaptureFixture) ->
     assert (drive.steps, drive.turbo) == (3, True)
 
 
-def test_changes_are_told_in_order_and_one_at_a_time(pair: Pair, caplog: pytest.LogCaptureFixture) -> None:
+def test_changes_are_reported_in_order_and_one_at_a_time(pair: Pair, caplog: pytest.LogCaptureFixture) -> None:
     one, two = pair
     drive = one.parameters("drive", **DRIVE)
-    told: queue.SimpleQueue[rect.ParameterChange] = queue.SimpleQueue()
+    reported: queue.SimpleQueue[rect.ParameterChange] = queue.SimpleQueue()
     running = threading.Lock()
 
     @drive.on_change
     def on_change(change: rect.ParameterChange) -> None:
         assert running.acquire(blocking=False)
-        told.put(change)
+        reported.put(change)
         if change.changed[0][0] == "steps":
             # A change by the callback is one of the next.
             drive.side = "right"
@@ -270,7 +270,7 @@ def test_changes_are_told_in_order_and_one_at_a_time(pair: Pair, caplog: pytest.
             raise ValueError("a mistake")
 
     def next_change() -> tuple[list[tuple[str, Any, Any]], str]:
-        change = told.get(timeout=DEADLINE)
+        change = reported.get(timeout=DEADLINE)
         return change.changed, change.by
 
     drive.set(kp=2.0, turbo=True)
@@ -291,10 +291,10 @@ def test_changes_are_told_in_order_and_one_at_a_time(pair: Pair, caplog: pytest.
 def test_program_is_named_as_the_one_that_changed(routers: Routers) -> None:
     with routers.connect("wombat-1") as one, routers.connect("wombat-2", program="page") as two:
         drive = one.parameters("drive", **DRIVE)
-        told: queue.SimpleQueue[str] = queue.SimpleQueue()
-        drive.on_change(lambda change: told.put(change.by))
+        reported: queue.SimpleQueue[str] = queue.SimpleQueue()
+        drive.on_change(lambda change: reported.put(change.by))
         set_when_known(two, "wombat-1", "drive", kp=2)
-        assert told.get(timeout=DEADLINE) == "wombat-2/page"
+        assert reported.get(timeout=DEADLINE) == "wombat-2/page"
 
 
 def test_restart_keeps_the_values(folder: Path) -> None:
@@ -304,7 +304,7 @@ def test_restart_keeps_the_values(folder: Path) -> None:
         drive.set(kp=2.0, side="right")
         until(file.exists)
         drive.turbo = True
-    # What has changed just before the end, too.
+    # A change just before the end is stored, too.
     assert json.loads(file.read_text()) == {"kp": 2.0, "side": "right", "turbo": True}
     with rect.connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
         with robot.parameters("drive", **DRIVE) as drive:
@@ -422,14 +422,14 @@ def test_stock_program_changes_parameters_with_json(routers: Routers) -> None:
     key = "rect/wombat-1/@rect/@set/parameters/stock"
     with routers.connect("wombat-1") as one, zenoh.open(config) as stock:
         drive = one.parameters("stock", **DRIVE)
-        told: queue.SimpleQueue[str] = queue.SimpleQueue()
-        drive.on_change(lambda change: told.put(change.by))
+        reported: queue.SimpleQueue[str] = queue.SimpleQueue()
+        drive.on_change(lambda change: reported.put(change.by))
 
         def order(payload: str) -> list[Any]:
             return list(stock.get(key, payload=payload, consolidation=zenoh.ConsolidationMode.NONE))
 
         until(lambda: bool(order('{"set": {"kp": 2}}')))
-        assert (drive.kp, told.get(timeout=DEADLINE)) == (2.0, "a Zenoh program")
+        assert (drive.kp, reported.get(timeout=DEADLINE)) == (2.0, "a Zenoh program")
         replies = [reply.ok for reply in order('{"set": {"kp": 3}, "stored": true}')]
         assert len(replies) == 2
         assert drive.kp == 3.0
@@ -459,16 +459,16 @@ def test_ordinary_calls_do_not_reach_internal_topics(pair: Pair) -> None:
 def test_setting_reaches_the_program_soon(routers: Routers) -> None:
     with routers.connect("wombat-1") as one, routers.connect("wombat-2") as two:
         drive = one.parameters("soon", **DRIVE)
-        told: queue.SimpleQueue[float] = queue.SimpleQueue()
-        drive.on_change(lambda _: told.put(time.monotonic()))
+        reported: queue.SimpleQueue[float] = queue.SimpleQueue()
+        drive.on_change(lambda _: reported.put(time.monotonic()))
         set_when_known(two, "wombat-1", "soon", kp=10)
-        told.get(timeout=DEADLINE)
+        reported.get(timeout=DEADLINE)
         program_ms, reply_ms = [], []
         for number in range(50):
             began = time.monotonic()
             two.set_parameters("wombat-1", "soon", kp=number / 10)
             reply_ms.append((time.monotonic() - began) * 1000)
-            program_ms.append((told.get(timeout=DEADLINE) - began) * 1000)
+            program_ms.append((reported.get(timeout=DEADLINE) - began) * 1000)
         for name, took in (("program", program_ms), ("setter", reply_ms)):
             took.sort()
             print(f"\nsetting to {name}: p50 {statistics.median(took):.1f} ms, p99 {took[-1]:.1f} ms")
@@ -543,12 +543,12 @@ def test_asyncio(routers: Routers, folder: Path) -> None:
         ):
             drive = await one.parameters("aio", **DRIVE)
             loop = asyncio.get_running_loop()
-            told: asyncio.Queue[rect.ParameterChange] = asyncio.Queue()
+            reported: asyncio.Queue[rect.ParameterChange] = asyncio.Queue()
 
             @drive.on_change
             async def on_change(change: rect.ParameterChange) -> None:
                 assert asyncio.get_running_loop() is loop
-                await told.put(change)
+                await reported.put(change)
 
             @drive.check
             def check(values: dict[str, Any]) -> str | None:
@@ -556,14 +556,14 @@ def test_asyncio(routers: Routers, folder: Path) -> None:
                 return "not so fast" if values["kp"] > 5 else None
 
             drive.kp = 2.0
-            assert (await told.get()).changed == [("kp", 1.0, 2.0)]
+            assert (await reported.get()).changed == [("kp", 1.0, 2.0)]
             with pytest.raises(rect.ParameterError, match="not so fast"):
                 drive.kp = 6.0
             await one.wait_until_established(DEADLINE)
             in_force = await two.set_parameters("wombat-1", "aio", {"kp": 3}, stored=True)
             assert in_force == {"kp": 3.0}
             assert json.loads((folder / "wombat-1" / "aio.json").read_text()) == {"kp": 3.0}
-            assert (await told.get()).by == "wombat-2"
+            assert (await reported.get()).by == "wombat-2"
             with pytest.raises(rect.ServiceError, match="not so fast"):
                 await two.set_parameters("wombat-1", "aio", kp=6)
             with pytest.raises(rect.NoParameters):

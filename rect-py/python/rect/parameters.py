@@ -43,7 +43,7 @@ class ParameterChange:
 
     #: Name, old value and new value of each parameter that has another value now.
     changed: list[tuple[str, Any, Any]]
-    #: Who has changed them, `<robot>/<program>` or `<robot>`; empty if it was the program itself.
+    #: The program that has changed them, `<robot>/<program>`, or its robot; empty if it was this program itself.
     by: str
 
 
@@ -78,7 +78,7 @@ class ParameterGroup:
             return
         if name in _METHODS:
             raise AttributeError(f"{name} is a method of the group")
-        # An attribute that is no parameter is an error of its own.
+        # Raises `AttributeError` if there is no such parameter.
         self._executor.core.value(name)
         self.set({name: value})
 

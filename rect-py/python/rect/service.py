@@ -33,7 +33,8 @@ _LOG = logging.getLogger("rect")
 
 
 class Refusal(Exception):
-    """Refuses a request: a handler raises this exception to answer the request with an error.
+    """Refuses a request: a handler raises this exception to answer the request with an error, and a check of parameters
+    to refuse a change.
 
     The requester receives `value` in a `ServiceError`. Nothing is logged.
     """
