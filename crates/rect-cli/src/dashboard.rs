@@ -6,7 +6,6 @@ use std::{
 };
 
 use clap::Args;
-use rect::Topic;
 use rect_core::session::login::{default_file, FILE_VARIABLE};
 use rect_dashboard::{Dashboard, LoginFor, Settings};
 use rect_terminal::errln;
@@ -25,9 +24,9 @@ pub struct DashboardArguments {
     /// Open the page in this computer's browser
     #[arg(long)]
     open: bool,
-    /// Show a Stop button, which sends an urgent request to this service of all robots
-    #[arg(long, value_name = "SERVICE")]
-    stop: Option<Topic>,
+    /// The service that the Stop button called in earlier versions
+    #[arg(long, hide = true, value_name = "SERVICE")]
+    stop: Option<String>,
     /// Show a Record button, which records this robot's messages to files in this folder
     #[arg(long, value_name = "FOLDER")]
     record: Option<PathBuf>,
@@ -66,7 +65,6 @@ impl DashboardArguments {
         };
         Settings {
             listen: self.listen,
-            stop: self.stop.clone(),
             record: self.record.clone(),
             read_only: self.read_only,
             logins,
@@ -80,6 +78,14 @@ impl DashboardArguments {
 
 /// Runs `rect dashboard`.
 pub async fn run(arguments: DashboardArguments) -> Done {
+    if let Some(service) = &arguments.stop {
+        // A team that relies on the service must learn that nothing calls it any more.
+        return Err(format!(
+            "leave out --stop: the page always has a Stop button now. It does not call the service {service}; it stops the robots \
+             whose programs take part in the stop of the fleet (docs/how-to/dashboard.md)"
+        )
+        .into());
+    }
     let dashboard = Dashboard::bind(arguments.settings()).await?;
     let robot = match arguments.read_only {
         true => arguments.join.join_unnamed().await?,

@@ -103,7 +103,7 @@ pub async fn run(arguments: ExportArguments) -> Done {
 }
 
 /// Returns a number of things: `1 group`, `2 groups`.
-pub fn count(count: usize, noun: &str) -> String {
+fn count(count: usize, noun: &str) -> String {
     let end = if count == 1 { "" } else { "s" };
     format!("{count} {noun}{end}")
 }

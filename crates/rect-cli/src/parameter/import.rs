@@ -8,7 +8,6 @@ use tokio::sync::mpsc::{self, UnboundedSender};
 
 use super::{
     change,
-    export::count,
     groups::{self, Group},
     place::GroupPlace,
     profile::{self, Values},
@@ -107,17 +106,17 @@ pub async fn run(arguments: ImportArguments) -> Done {
         }
         rect_terminal::outln!("{place}: {}", outcome.in_words(arguments.dry_run));
     }
-    let (were, would) = match arguments.dry_run {
-        true => ("would be", "would not be"),
-        false => ("were", "were not"),
+    let (set_or_would, fail) = match arguments.dry_run {
+        true => ("would be set", "would fail"),
+        false => ("set", "failed"),
     };
-    let mut sentence = format!("{set} of {} {were} set", count(total, "group"));
+    let mut sentence = format!("{set} of {total} groups {set_or_would}");
     if unchanged > 0 {
-        sentence += &format!(", {unchanged} had the values already");
+        sentence += &format!(", {unchanged} unchanged");
     }
     let failed = total - set - unchanged;
     if failed > 0 {
-        return Err(format!("{sentence}, {failed} {would}").into());
+        return Err(format!("{sentence}, {failed} {fail}").into());
     }
     rect_terminal::outln!("{sentence}");
     Ok(ExitCode::SUCCESS)
