@@ -127,7 +127,7 @@ def declaration_of(parameters: Mapping[str, Declared]) -> _rect.ParameterDeclara
 
 def parameters_of(declaration: list[_rect._ParameterParts]) -> dict[str, Parameter]:
     """Returns the parameters of a group in the catalogue of a robot."""
-    return {name: _parameter_of(*parts) for name, *parts in declaration}
+    return {parts[0]: _parameter_of(*parts) for parts in declaration}
 
 
 def _parts_of(name: str, declared: Declared) -> _rect._ParameterParts:
@@ -140,7 +140,8 @@ def _parts_of(name: str, declared: Declared) -> _rect._ParameterParts:
 
 
 def _parameter_of(
-    kind: str,
+    _: str,
+    kind: str | None,
     default: Any,
     min: float | None,
     max: float | None,
@@ -149,6 +150,8 @@ def _parameter_of(
     about: str,
     read_only: bool,
 ) -> Parameter:
+    # Only a declaration of this program leaves it out.
+    assert kind is not None
     parameter = object.__new__(_KINDS[kind])
     Parameter.__init__(parameter, default, about, read_only, unit, min, max, tuple(choices))
     return parameter
