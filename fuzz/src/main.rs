@@ -28,6 +28,7 @@ targets! {
     lanes,
     locator,
     meeting,
+    parameters,
     raw,
     recording,
     sdu,

@@ -3,6 +3,8 @@ use crate::name::Name;
 
 /// The similarity of two names, from 0 to 1, from which one may be a misspelling of the other.
 const SIMILAR: f64 = 0.7;
+/// The beginning of internal topics, which says nothing to people.
+const INTERNAL: &str = "@rect/@set/";
 /// The largest number of names in a description.
 const MAX_LISTED: usize = 20;
 
@@ -29,6 +31,7 @@ pub fn no_service(robot: Option<&Name>, topic: &str, reachable: &[Name]) -> Stri
 
 /// Returns the error that a robot, or all robots (`None`), did not reply to the request `topic`, which may have been carried out.
 pub fn interrupted(robot: Option<&Name>, topic: &str) -> String {
+    let topic = topic.strip_prefix(INTERNAL).unwrap_or(topic);
     let (nobody, its) = match robot {
         Some(robot) => (format!("{robot} did not reply"), "its"),
         None => ("no robot replied".to_owned(), "the"),
