@@ -796,7 +796,7 @@ class Subscription(Generic[T]):
 class ParameterGroup(BlockingParameterGroup):
     """A group of parameters of this program, which are its attributes; see `rect.ParameterGroup`.
 
-    The functions that check a change are called in the event loop, too, and are no `async def`.
+    The functions that check a change are called in the event loop, too. They are plain functions.
     """
 
     __slots__ = ("_robot",)
