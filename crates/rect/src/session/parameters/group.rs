@@ -2,6 +2,7 @@
 use std::{
     collections::VecDeque,
     fmt,
+    panic::{catch_unwind, AssertUnwindSafe},
     path::PathBuf,
     sync::{Arc, Mutex, PoisonError, RwLock},
     time::Instant,
@@ -201,7 +202,9 @@ impl<T: Send + Sync + 'static> Shared<T> {
         let declaration = lock(&self.group).declaration().clone();
         let proposed = Arc::new((self.read)(&declaration, &proposal.values));
         if let Some(check) = &self.check {
-            check(&proposed)?;
+            // Whoever set them gets an error, and the group goes on.
+            let checked = catch_unwind(AssertUnwindSafe(|| check(&proposed)));
+            checked.unwrap_or_else(|_| Err("the check of the program failed".to_owned()))?;
         }
         let mut group = lock(&self.group);
         let change = group.commit(&proposal, robot, Instant::now());

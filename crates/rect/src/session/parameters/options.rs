@@ -89,7 +89,8 @@ impl<T> GroupOptions<T> {
         Self { about, ..self }
     }
 
-    /// Calls `check` with the values as they would be before each change, which it refuses with a reason.
+    /// Calls `check` with the values as they would be before each change, which it refuses with a reason. It must not change parameters
+    /// itself, and if it panics, the change is refused.
     #[must_use]
     pub fn check(self, check: impl Fn(&T) -> Result<(), String> + Send + Sync + 'static) -> Self {
         let check: Option<Box<Check<T>>> = Some(Box::new(check));
