@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ import rect
 import rect.aio
 import zenoh
 from conftest import DEADLINE, Pair, until
-from programs import Routers
+from programs import Routers, initialised_routers
 
 #: The declaration that most tests use.
 DRIVE: dict[str, Any] = {
@@ -320,6 +321,23 @@ def test_restart_keeps_the_values(folder: Path) -> None:
             drive.on_change(print)
 
 
+def test_exit_of_the_program_stores_the_values_and_a_forked_child_does_not(folder: Path) -> None:
+    code = """
+import os, rect, sys
+drive = rect.connect("wombat-1", listen=["tcp/127.0.0.1:0"]).parameters("drive", kp=1.0)
+drive.kp = 5.0
+if os.fork() == 0:
+    try:
+        drive.kp = drive.kp + 1
+    except rect.Closed:
+        sys.exit(0)
+    os._exit(1)
+sys.exit(os.wait()[1])
+"""
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=DEADLINE)
+    assert json.loads((folder / "wombat-1" / "drive.json").read_text()) == {"kp": 5.0}
+
+
 def test_file_that_does_not_fit_is_reported(robot: rect.Robot, folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     file = folder / "mine.json"
     file.write_text('{"kp": 99, "old": 1, "side": "right"}')
@@ -443,6 +461,37 @@ def test_stock_program_changes_parameters_with_json(routers: Routers) -> None:
             (refused,) = order(wrong)
             assert refused.err is not None
             assert reason in refused.err.payload.to_bytes().decode()
+        assert drive.kp == 3.0
+
+
+#: The part of a rule that lets other robots of the fleet change parameters.
+OTHERS = ', "rect/*/@rect/@set/parameters/**"'
+
+
+def without_others(configuration: str) -> str:
+    assert OTHERS in configuration
+    return configuration.replace(OTHERS, "")
+
+
+def test_robots_that_rect_init_configured_change_parameters_of_each_other(tmp_path: Path) -> None:
+    with initialised_routers(tmp_path) as options, ExitStack() as stack:
+        one, two = (stack.enter_context(rect.connect(name, **options[name])) for name in options)
+        drive = one.parameters("drive", **DRIVE)
+        until_group(two, "drive")
+        assert set_when_known(two, "wombat-1", "drive", kp=2.0) == {"kp": 2.0}
+        assert drive.kp == 2.0
+
+
+def test_setter_without_the_right_learns_which_rule_is_missing(tmp_path: Path) -> None:
+    with initialised_routers(tmp_path, without_others) as options, ExitStack() as stack:
+        one, two = (stack.enter_context(rect.connect(name, **options[name])) for name in options)
+        drive = one.parameters("drive", **DRIVE)
+        until_group(two, "drive")
+        with pytest.raises(rect.NoParameters, match=r"access control .* @rect/@set/parameters"):
+            two.set_parameters("wombat-1", "drive", kp=2.0)
+        # Programs of the robot itself have it.
+        with rect.connect("wombat-1", **options["wombat-1"]) as own:
+            assert set_when_known(own, "wombat-1", "drive", kp=3.0) == {"kp": 3.0}
         assert drive.kp == 3.0
 
 
