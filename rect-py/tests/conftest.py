@@ -6,7 +6,6 @@ from __future__ import annotations
 import queue
 import socket
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -15,6 +14,7 @@ import pytest
 import rect
 from programs import DEADLINE as DEADLINE
 from programs import Routers, linked_routers
+from programs import until as until
 
 #: The files that take longest. They begin first, so that no worker is left with one of them at the end.
 _LONGEST = ["test_foxglove", "test_state_killed", "test_recording", "test_state", "test_programs", "test_killed"]
@@ -75,14 +75,6 @@ def repeating(seconds: float, action: Callable[[], object]) -> Iterator[None]:
     finally:
         ends.set()
         thread.join()
-
-
-def until(condition: Callable[[], bool], found: Callable[[], object] = lambda: None) -> None:
-    """Waits until a condition holds. `found` is what a failure shows."""
-    deadline = time.monotonic() + DEADLINE
-    while not condition():
-        assert time.monotonic() < deadline, found()
-        time.sleep(0.01)
 
 
 def until_peer(robot: rect.Robot) -> None:

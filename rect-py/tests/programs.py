@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import queue
 import shutil
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,14 @@ sys.path.append(str(Path(__file__).resolve().parents[2] / "examples" / "demo"))
 
 #: Timeout after which a test fails, in seconds.
 DEADLINE = 30.0
+
+
+def until(condition: Callable[[], bool], found: Callable[[], object] = lambda: None) -> None:
+    """Waits until a condition holds. `found` is what a failure shows."""
+    deadline = time.monotonic() + DEADLINE
+    while not condition():
+        assert time.monotonic() < deadline, found()
+        time.sleep(0.01)
 
 
 def program(variable: str, name: str) -> str:
@@ -133,3 +143,34 @@ def linked_routers(folder: Path, *air_options: str) -> Iterator[Routers]:
         )
         wait_for_link(one, two)
         yield Routers(room, one, two)
+
+
+@contextmanager
+def initialised_routers(
+    folder: Path, edit: Callable[[str], str] = lambda configuration: configuration
+) -> Iterator[dict[str, dict[str, Any]]]:
+    """Starts the routers of two robots as `rect init` configures them, with an edited configuration. Yields the options
+    for programs."""
+    from robots import free_port, is_listening  # type: ignore[import-not-found, unused-ignore]
+    from room import Room  # type: ignore[import-not-found, unused-ignore]
+
+    router = program("RECT_ROUTER", "rect-router")
+    users = folder / "wombat-1" / "users"
+    with Room("desk") as room, ExitStack() as stack:
+        options: dict[str, dict[str, Any]] = {}
+        for name in ("wombat-1", "wombat-2"):
+            port = free_port()
+            init = ["init", name, "--adapter", f"sim-{name}", "--folder", str(folder / name), "--port", str(port)]
+            team = [] if name == "wombat-1" else ["--users", str(users)]
+            subprocess.run([router, *init, *team], check=True, capture_output=True)
+            dials = [] if name == "wombat-1" else ["-e", "any/wombat-1"]
+            configuration = folder / name / "robot.json5"
+            configuration.write_text(edit(configuration.read_text()))
+            command = [router, "-c", str(configuration), *dials]
+            log = stack.enter_context((folder / f"{name}.log").open("w"))
+            process = subprocess.Popen(command, env=room.environment(), stdout=log, stderr=log)
+            stack.callback(process.wait)
+            stack.callback(process.kill)
+            until(functools.partial(is_listening, port))
+            options[name] = {"router": f"tcp/127.0.0.1:{port}", "login_file": str(users)}
+        yield options

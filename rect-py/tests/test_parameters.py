@@ -487,7 +487,7 @@ def test_setter_without_the_right_learns_which_rule_is_missing(tmp_path: Path) -
         one, two = (stack.enter_context(rect.connect(name, **options[name])) for name in options)
         drive = one.parameters("drive", **DRIVE)
         until_group(two, "drive")
-        with pytest.raises(rect.NoParameters, match=r"access control .* @rect/@set/parameters"):
+        with pytest.raises(rect.NoParameters, match=r"access control .*@rect/@set/parameters"):
             two.set_parameters("wombat-1", "drive", kp=2.0)
         # Programs of the robot itself have it.
         with rect.connect("wombat-1", **options["wombat-1"]) as own:

@@ -5,7 +5,6 @@ RECT_ROUTER=target/checked/rect-router RECT_TOOL=target/checked/rect pytest rect
 
 from __future__ import annotations
 
-import functools
 import subprocess
 import sys
 import time
@@ -18,7 +17,7 @@ import pytest
 import rect
 import zenoh
 from conftest import DEADLINE, until
-from programs import Routers, linked_routers, program
+from programs import Routers, initialised_routers, linked_routers
 
 #: How long nothing may arrive after which nothing is expected any more, in seconds.
 QUIET = 1.0
@@ -231,32 +230,6 @@ def test_stock_tools_get_the_last_value(state_routers: Routers) -> None:
         assert get("rect/wombat-1/stock/mode") == []
 
 
-@contextmanager
-def initialised_routers(folder: Path) -> Iterator[dict[str, dict[str, Any]]]:
-    """Starts the routers of two robots as `rect init` configures them. Yields the options for programs."""
-    from robots import free_port, is_listening  # type: ignore[import-not-found, unused-ignore]
-    from room import Room  # type: ignore[import-not-found, unused-ignore]
-
-    router = program("RECT_ROUTER", "rect-router")
-    users = folder / "wombat-1" / "users"
-    with Room("desk") as room, ExitStack() as stack:
-        options: dict[str, dict[str, Any]] = {}
-        for name in ("wombat-1", "wombat-2"):
-            port = free_port()
-            init = ["init", name, "--adapter", f"sim-{name}", "--folder", str(folder / name), "--port", str(port)]
-            team = [] if name == "wombat-1" else ["--users", str(users)]
-            subprocess.run([router, *init, *team], check=True, capture_output=True)
-            dials = [] if name == "wombat-1" else ["-e", "any/wombat-1"]
-            command = [router, "-c", str(folder / name / "robot.json5"), *dials]
-            log = stack.enter_context((folder / f"{name}.log").open("w"))
-            process = subprocess.Popen(command, env=room.environment(), stdout=log, stderr=log)
-            stack.callback(process.wait)
-            stack.callback(process.kill)
-            until(functools.partial(is_listening, port))
-            options[name] = {"router": f"tcp/127.0.0.1:{port}", "login_file": str(users)}
-        yield options
-
-
 def test_advanced_subscriber_gets_the_last_value_of_a_robot_that_rect_init_configured(
     state_routers: Routers, tmp_path: Path
 ) -> None:
@@ -271,6 +244,8 @@ def test_advanced_subscriber_gets_the_last_value_of_a_robot_that_rect_init_confi
         config.insert_json5("transport/auth/usrpwd/user", f'"{user}"')
         config.insert_json5("transport/auth/usrpwd/password", f'"{password}"')
         stock = stack.enter_context(zenoh.open(config))
+        # It asks for the history once, when it is declared.
+        until(lambda: any(reply.ok for reply in stock.get("rect/wombat-1/mode")))
         received: list[bytes] = []
         advanced = zenoh.ext.declare_advanced_subscriber(
             stock,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -13,6 +14,10 @@ from rect.values import Payload
 
 if TYPE_CHECKING:
     from rect.session import Session
+
+#: The time within which a group of the catalogue can be reached, and the pause between two attempts, in seconds.
+_DECLARED_WITHIN_S = 1.0
+_PAUSE_S = 0.1
 
 
 def set_parameters(
@@ -29,18 +34,24 @@ def set_parameters(
     order = _rect.ParameterOrder(dict(values), reset, stored, session.program.name)
     timeout = _rect.DEFAULT_TIMEOUT_S
     payload = Payload(*order.payload())
-    replies: Replies[Any] = Replies(session, robot, topic, payload, "normal", timeout, None, is_stream=stored)
-    try:
-        in_force = _next(replies)
-        if stored:
-            confirmation = _next(replies)
-            if not confirmation["stored"]:
-                raise NotStored(robot, confirmation.get("reason", ""))
-    except NoService:
-        raise NoParameters(robot, group, _groups_of(session, robot)) from None
-    finally:
-        replies.leave()
-    return dict(in_force["values"])
+    until = time.monotonic() + _DECLARED_WITHIN_S
+    while True:
+        replies: Replies[Any] = Replies(session, robot, topic, payload, "normal", timeout, None, is_stream=stored)
+        try:
+            in_force = _next(replies)
+            if stored:
+                confirmation = _next(replies)
+                if not confirmation["stored"]:
+                    raise NotStored(robot, confirmation.get("reason", ""))
+            return dict(in_force["values"])
+        except NoService:
+            # A group that was just declared may be in the catalogue before it can be reached.
+            groups = _groups_of(session, robot)
+            if group not in groups or time.monotonic() >= until:
+                raise NoParameters(robot, group, groups) from None
+        finally:
+            replies.leave()
+        time.sleep(_PAUSE_S)
 
 
 def _next(replies: Replies[Any]) -> Any:
