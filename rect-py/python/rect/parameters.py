@@ -35,6 +35,8 @@ class GroupOptions:
     #: variable `RECT_PARAMETERS`, or `~/.local/state/rect/parameters`. `False`: none, so that the program begins with
     #: the defaults at each start.
     file: str | os.PathLike[str] | Literal[False] | None = None
+    #: A check of changes, as `ParameterGroup.check` adds one: this one is there before the first change can arrive.
+    check: Callable[[dict[str, Any]], str | None] | None = None
 
 
 @dataclass(frozen=True)
@@ -177,6 +179,8 @@ class GroupExecutor:
                 raise ParameterError(f"{name} cannot be the name of a parameter in Python: {reason}")
         declaration = declaration_of(parameters)
         topic = _rect.InternalTopic.of_parameters(group)
+        if options.check is not None and not callable(options.check):
+            raise TypeError(f"check must be a function, not {type(options.check).__name__}")
         self.name = group
         self._session = session
         self.requests = Requests(session, topic, None, options.about, False, declaration)
@@ -184,7 +188,7 @@ class GroupExecutor:
             self.core, warnings = _rect.ParameterGroup.open(declaration, self._file(options))
             for warning in warnings:
                 session.warn(warning)
-            self._checks: list[Check] = []
+            self._checks: list[Check] = [] if options.check is None else [options.check]
             self._changes: list[Changes] = []
             #: Held from the proposal of a change until it is in force.
             self._turn = threading.Lock()
