@@ -584,6 +584,15 @@ with rect.connect("wombat-1", router={routers.endpoints["wombat-1"]!r}, program=
     assert json.loads(file.read_text()) == {"kp": 9.0, "other": 4}
 
 
+def test_check_of_the_options_is_there_from_the_beginning(robot: rect.Robot) -> None:
+    options = rect.GroupOptions(check=lambda values: "too fast" if values["kp"] > 5 else None)
+    drive = robot.parameters("drive", options, **DRIVE)
+    with pytest.raises(rect.ParameterError, match="too fast"):
+        drive.kp = 6.0
+    with pytest.raises(TypeError, match="check must be a function"):
+        robot.parameters("arm", rect.GroupOptions(check=3), kp=1.0)  # type: ignore[arg-type]
+
+
 def test_asyncio(routers: Routers, folder: Path) -> None:
     async def run() -> None:
         async with (
