@@ -64,8 +64,17 @@ pub struct FleetStop {
     /// How often this program has pressed stop under that run.
     pressed: u32,
     stops: BTreeMap<u32, Stop>,
-    /// What each robot knows, and whether its program has ended that said so.
-    robots: BTreeMap<Name, (Known, bool)>,
+    /// The last report of each robot.
+    robots: BTreeMap<Name, Report>,
+}
+
+/// The stops that a robot knows.
+#[derive(Debug)]
+struct Report {
+    known: Known,
+    /// Whether the program that reported them has ended.
+    has_ended: bool,
+    is_reachable: bool,
 }
 
 /// How far a robot has followed the stop or its release.
@@ -211,8 +220,12 @@ impl FleetStop {
         }
         self.limit();
         if self.robots.len() < MAX_ROBOTS || self.robots.contains_key(robot) {
-            self.robots
-                .insert(robot.clone(), (Known { stops }, has_ended));
+            let report = Report {
+                known: Known { stops },
+                has_ended,
+                is_reachable: true,
+            };
+            self.robots.insert(robot.clone(), report);
         }
         // Another program of this robot may have published something older.
         let is_behind =
@@ -220,9 +233,18 @@ impl FleetStop {
         Ok(is_new || is_behind)
     }
 
-    /// Handles that a robot cannot be reached any more, or does not take part any more.
+    /// Handles that a robot cannot be reached any more.
     pub fn on_gone(&mut self, robot: &Name) {
-        self.robots.remove(robot);
+        if let Some(report) = self.robots.get_mut(robot) {
+            report.is_reachable = false;
+        }
+    }
+
+    /// Handles that a robot can be reached again. It publishes again only if it learns of something.
+    pub fn on_returned(&mut self, robot: &Name) {
+        if let Some(report) = self.robots.get_mut(robot) {
+            report.is_reachable = true;
+        }
     }
 
     /// Returns the message with what this program knows, which is retained.
@@ -246,11 +268,15 @@ impl FleetStop {
         pressed
     }
 
-    /// Returns whether a robot has confirmed; `None` if it does not take part.
+    /// Returns whether a robot has confirmed; `None` if it does not take part, or cannot be reached.
     pub fn confirmation(&self, robot: &Name) -> Option<Confirmation> {
-        let (known, has_ended) = self.robots.get(robot)?;
+        let report = self.robots.get(robot).filter(|one| one.is_reachable)?;
         let knows = |stop: &Stop| {
-            let of_robot = known.stops.iter().find(|other| other.run == stop.run);
+            let of_robot = report
+                .known
+                .stops
+                .iter()
+                .find(|other| other.run == stop.run);
             match of_robot {
                 Some(other) => other.number >= stop.number && other.released >= stop.released,
                 // It may have left out what was released long ago.
@@ -258,7 +284,7 @@ impl FleetStop {
             }
         };
         Some(match self.stops.values().all(knows) {
-            _ if *has_ended => Confirmation::Ended,
+            _ if report.has_ended => Confirmation::Ended,
             true => Confirmation::Confirmed,
             false => Confirmation::Waiting,
         })
@@ -319,6 +345,23 @@ mod tests {
         assert!(!tell(&laptop, &mut two) && !two.is_stopped());
         assert_eq!(two.confirmation(&laptop.robot), Some(Confirmation::Waiting));
         assert!(tell(&two, &mut laptop) && !laptop.is_stopped());
+    }
+
+    #[test]
+    fn a_robot_that_returns_has_confirmed_what_it_had_confirmed() {
+        let [mut laptop, mut one] = fleet(["laptop", "one"]);
+        laptop.press("smoke", 5);
+        tell(&laptop, &mut one);
+        tell(&one, &mut laptop);
+        laptop.on_gone(&one.robot);
+        assert_eq!(laptop.confirmation(&one.robot), None);
+        laptop.on_returned(&one.robot);
+        let confirmed = Some(Confirmation::Confirmed);
+        assert_eq!(laptop.confirmation(&one.robot), confirmed);
+        laptop.on_gone(&one.robot);
+        laptop.press("", 6);
+        laptop.on_returned(&one.robot);
+        assert_eq!(laptop.confirmation(&one.robot), Some(Confirmation::Waiting));
     }
 
     #[test]

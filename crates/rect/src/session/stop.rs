@@ -106,10 +106,12 @@ async fn follow(shared: Weak<Shared>, messages: Subscriber<Payload>, events: Eve
             }
             event = events.next() => {
                 let (Some(shared), Some(event)) = (shared.upgrade(), event) else { return };
-                if let Event::PeerDown { robot } = event {
-                    lock(&shared.known).on_gone(&robot);
-                    shared.changes.send_replace(());
+                match event {
+                    Event::PeerDown { robot } => lock(&shared.known).on_gone(&robot),
+                    Event::PeerUp { robot } => lock(&shared.known).on_returned(&robot),
+                    _ => continue,
                 }
+                shared.changes.send_replace(());
             }
         }
     }
