@@ -232,8 +232,8 @@ in
       example = [
         "--listen"
         "0.0.0.0:8080"
-        "--stop"
-        "stop"
+        "--record"
+        "/var/lib/rect/recordings"
       ];
       description = ''
         Options of `rect dashboard`, which then runs as a service and serves a page that shows the robots. With the empty list,

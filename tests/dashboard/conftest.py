@@ -81,7 +81,7 @@ def fleet(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Fleet]:
 @pytest.fixture(scope="session")
 def dashboard(fleet: Fleet, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
     folder = tmp_path_factory.mktemp("recordings")
-    with fleet.dashboard("--stop", "stop", "--record", str(folder), "--embed-in", "http://127.0.0.1:1") as url:
+    with fleet.dashboard("--record", str(folder), "--embed-in", "http://127.0.0.1:1") as url:
         yield url
 
 

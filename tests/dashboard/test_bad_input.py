@@ -16,7 +16,6 @@ from pathlib import Path
 import pytest
 import rect
 import websockets.sync.client as client
-import zenoh
 from conftest import Fleet
 from playwright.sync_api import Page, expect
 from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -187,7 +186,7 @@ def test_stalled_browser_costs_little_and_delays_nobody(fleet: Fleet, dashboard:
 def memory_kb() -> int:
     """Returns the memory that the dashboard of these tests has written to. The pages of its program are not
     counted, as they are private only while no other process runs that program."""
-    found = subprocess.run(["pgrep", "-f", "dashboard.*--stop"], capture_output=True, text=True, check=True)
+    found = subprocess.run(["pgrep", "-f", "dashboard.*--record"], capture_output=True, text=True, check=True)
     pid = found.stdout.split()[0]
     text = Path(f"/proc/{pid}/smaps_rollup").read_text()
     return int(re.findall(r"Private_Dirty:\s+(\d+)", text)[0])
@@ -221,31 +220,16 @@ def send_frame(connection: socket.socket, fields: dict) -> None:
     connection.sendall(bytes([0x81, 0x80 | len(text), 0, 0, 0, 0]) + text)
 
 
-def test_robot_confirms_a_stop_once(dashboard: str, fleet: Fleet) -> None:
-    config = zenoh.Config()
-    config.insert_json5("mode", '"client"')
-    config.insert_json5("connect/endpoints", json.dumps([fleet.endpoint(1)]))
-    key = "rect/wombat-2/stop"
-
-    def confirm(query: zenoh.Query) -> None:
-        for _ in range(3000):
-            query.reply(key, b"stopped")
-
-    with zenoh.open(config) as program, socket_of(dashboard) as browser:
-        with program.declare_queryable(key, confirm):
-            fleet.until_served("wombat-2", "stop")
-            assert command(browser, type="stop", id=1, again=False)["error"] is None
-            while "wombat-2" not in (confirmed := confirmed_by(state(browser, "stop"))):
-                pass
-            assert confirmed.count("wombat-2") == 1
-        assert command(browser, type="clear_stop", id=2)["error"] is None
-        with socket_of(dashboard) as later:
-            assert state(later, "stop")["run"] is None
-
-
-def confirmed_by(stop: dict) -> list[str]:
-    robots = stop["run"]["robots"] if stop["run"] else []
-    return [robot["robot"] for robot in robots if robot["outcome"] == "confirmed"]
+def test_stop_is_permitted_while_other_commands_wait(dashboard: str) -> None:
+    with socket_of(dashboard) as connection:
+        for number in range(1, 20):
+            fields = {"type": "request", "id": number, "robot": "nobody", "topic": "x", "value": ""}
+            connection.send(json.dumps(fields))
+        try:
+            assert command(connection, type="stop", id=100)["error"] is None
+        finally:
+            with socket_of(dashboard) as other:
+                assert command(other, type="release_stop", id=1)["error"] is None
 
 
 def test_flood_of_commands_is_limited(dashboard: str) -> None:
@@ -291,7 +275,7 @@ def test_connections_that_do_nothing_keep_nobody_out(dashboard: str, kind: str) 
 def test_changes_on_this_computer_require_the_robots_login(page: Page, fleet: Fleet, tmp_path: Path) -> None:
     users = tmp_path / "users"
     users.write_text("team:our secret\n")
-    with fleet.dashboard("--users", str(users), "--stop", "stop") as url:
+    with fleet.dashboard("--users", str(users)) as url:
         page.goto(f"{url}/#connections")
         expect(page.locator(".condition")).to_have_text("live")
         form = page.get_by_role("form", name="Add a connection")
@@ -303,7 +287,8 @@ def test_changes_on_this_computer_require_the_robots_login(page: Page, fleet: Fl
                     ({"type": "publish", "to": None, "topic": "x", "value": "1", "urgent": False}, "require a login"),
                     ({"type": "connect", "robot": "wombat-1", "connection": connection}, "require a login"),
                     ({"type": "disconnect", "robot": "wombat-1", "name": "base"}, "require a login"),
-                    ({"type": "stop", "again": False}, None),
+                    ({"type": "stop"}, None),
+                    ({"type": "release_stop"}, "require a login"),
                 ],
                 start=1,
             ):
@@ -316,6 +301,13 @@ def test_changes_on_this_computer_require_the_robots_login(page: Page, fleet: Fl
         expect(page.locator(".condition")).to_have_text("live")
         page.goto(f"{url}/#connections")
         expect(form).to_be_visible()
+        # The stop shows who is logged in.
+        page.get_by_role("button", name="STOP").click()
+        area = page.get_by_role("region", name="Stop")
+        expect(area).to_contain_text("by wombat-1: team")
+        area.get_by_role("button", name="Release…").click()
+        area.get_by_role("button", name="Release the stop").click()
+        expect(area).to_be_hidden()
         page.get_by_role("button", name="Log out").click()
         expect(page.get_by_role("button", name="Log in")).to_be_visible()
 
@@ -344,7 +336,7 @@ def test_login_is_required_limited_and_ends(page: Page, fleet: Fleet, tmp_path: 
         assert status == 429 and "Wait a minute" in text
 
 
-def test_read_only_page_changes_nothing(page: Page, fleet: Fleet) -> None:
+def test_read_only_page_changes_nothing_except_that_it_stops(page: Page, fleet: Fleet, dashboard: str) -> None:
     with fleet.dashboard("--read-only") as url:
         page.goto(f"{url}/#topics")
         expect(page.locator(".condition")).to_have_text("live")
@@ -352,6 +344,16 @@ def test_read_only_page_changes_nothing(page: Page, fleet: Fleet) -> None:
         with socket_of(url) as connection:
             answer = command(connection, type="publish", id=1, to=None, topic="x", value="1", urgent=False)
             assert "--read-only" in answer["error"]
+        # It may stop, and somebody else has to release it.
+        page.get_by_role("button", name="STOP").click()
+        area = page.get_by_role("region", name="Stop")
+        expect(area).to_contain_text("This page may not release it.")
+        expect(area.get_by_role("button", name="Release…")).to_be_hidden()
+        with socket_of(url) as connection:
+            assert "--read-only" in command(connection, type="release_stop", id=1)["error"]
+        with socket_of(dashboard) as connection:
+            assert command(connection, type="release_stop", id=1)["error"] is None
+        expect(area).to_be_hidden()
 
 
 def test_beyond_this_computer_a_login_is_required(fleet: Fleet, tmp_path: Path) -> None:
@@ -359,6 +361,12 @@ def test_beyond_this_computer_a_login_is_required(fleet: Fleet, tmp_path: Path) 
     environment = {**os.environ, "RECT_LOGIN": str(tmp_path / "missing")}
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=30)
     assert done.returncode == 1 and "requires a login" in done.stderr, done.stderr
+
+
+def test_the_option_that_named_a_service_is_refused_with_the_reason(fleet: Fleet) -> None:
+    command = [os.environ["RECT_TOOL"], "dashboard", "--router", fleet.endpoint(0), "--stop", "halt"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=30)
+    assert done.returncode == 1 and "leave out --stop" in done.stderr and "halt" in done.stderr, done.stderr
 
 
 def test_page_over_tls(page: Page, fleet: Fleet, tmp_path: Path) -> None:

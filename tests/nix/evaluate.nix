@@ -93,8 +93,8 @@ in
       openFirewall = true;
       configureBluetooth = false;
       dashboard = [
-        "--stop"
-        "stop"
+        "--listen"
+        "0.0.0.0:8080"
       ];
     };
     own_file = enabled { configFile = "/etc/rect/robot.json5"; };

@@ -2,7 +2,7 @@
 
 import { canDecode } from "./video.js";
 
-const VERSION = 5;
+const VERSION = 6;
 const STATE = 1;
 /** How long nothing may arrive before the connection counts as lost. The program sends the time every 3 s. */
 const SILENT_AFTER_MS = 10_000;

@@ -65,15 +65,16 @@ function header() {
   const condition = h("span", { class: "condition", role: "status" });
   const dropped = h("span", { class: "dropped" });
   const actions = h("div", { class: "actions" });
+  const stop = stopButton(link);
   const entries = Object.entries(NAMES).map(([name, text]) => h("a", { href: `#${name}` }, text));
   link.addEventListener("hello", () => {
-    const { robot, fleet: name, read_only: readOnly, logged_in: loggedIn, stop, record } = link.states.hello;
+    const { robot, fleet: name, read_only: readOnly, logged_in: loggedIn, record } = link.states.hello;
     setText(title, `RECT · ${name}`);
     title.title = `connected through ${robot}${readOnly ? ", read-only" : ""}`;
     actions.replaceChildren(
       ...[
         record && !readOnly && recordButton(),
-        stop !== null && stopButton(link, stop),
+        stop.button,
         loggedIn === true && h("form", { method: "post", action: "/logout" }, h("button", {}, "Log out")),
         loggedIn === false && h("form", { action: "/login" }, h("button", { title: LOGIN_NEEDED }, "Log in")),
       ].filter(Boolean),
@@ -101,7 +102,7 @@ function header() {
   showCondition();
   document
     .getElementById("header")
-    .append(title, condition, dropped, h("nav", { "aria-label": "Views" }, entries), actions);
+    .append(title, condition, dropped, h("nav", { "aria-label": "Views" }, entries), actions, stop.area);
 }
 
 function recordButton() {

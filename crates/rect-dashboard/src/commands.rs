@@ -1,8 +1,5 @@
 //! Executes the commands of the page that are answered: publish, request, connections, check, stop and record.
-use std::{
-    sync::Arc,
-    time::{Duration, Instant},
-};
+use std::time::{Duration, Instant};
 
 use rect::{Name, NamedConnection, Payload, Topic};
 use rect_core::message::payload;
@@ -12,7 +9,6 @@ use serde_json::{json, Value};
 use crate::{
     login::Access,
     protocol::{Command, ConnectionForm},
-    stop::Stop,
     App,
 };
 
@@ -33,23 +29,20 @@ pub fn id_of(command: &Command) -> u32 {
         | Command::Connect { id, .. }
         | Command::Disconnect { id, .. }
         | Command::Check { id, .. }
-        | Command::Stop { id, .. }
-        | Command::ClearStop { id }
+        | Command::Stop { id }
+        | Command::ReleaseStop { id }
         | Command::Record { id, .. } => *id,
     }
 }
 
-/// Executes a command.
+/// Executes a command. `user`: the user who has logged in, if there are logins.
 ///
 /// # Errors
 /// Fails with what the user of the page reads.
-pub async fn execute(app: &App, command: Command, access: Access) -> Answer {
+pub async fn execute(app: &App, command: Command, access: Access, user: Option<&str>) -> Answer {
     // A stop is always permitted to those who see the page, because somebody may be in danger.
-    let changes_nothing = matches!(
-        command,
-        Command::Stop { .. } | Command::ClearStop { .. } | Command::Check { .. }
-    );
-    if access < Access::Change && !changes_nothing {
+    let is_permitted = matches!(command, Command::Stop { .. } | Command::Check { .. });
+    if access < Access::Change && !is_permitted {
         return Err(match app.read_only {
             true => "this dashboard only shows: it was started with --read-only".to_owned(),
             false => "changes require a login: log in with one of the team's login file".to_owned(),
@@ -81,14 +74,11 @@ pub async fn execute(app: &App, command: Command, access: Access) -> Answer {
             let findings = app.robot.query_registry(robot, "doctor", "");
             findings.await.map_err(text)
         }
-        Command::Stop { again, .. } => {
-            stop(app)?.press(again);
-            Ok(Value::Null)
+        Command::Stop { .. } => {
+            let by = user.unwrap_or("dashboard");
+            app.stop.press(by).await.map(|()| Value::Null)
         }
-        Command::ClearStop { .. } => {
-            stop(app)?.clear();
-            Ok(Value::Null)
-        }
+        Command::ReleaseStop { .. } => app.stop.release().await.map(|()| Value::Null),
         Command::Record { on, .. } => {
             let recording = app.recording.as_ref();
             let recording =
@@ -149,11 +139,6 @@ async fn connect(app: &App, robot: &str, form: ConnectionForm) -> Answer {
     let connection = port.into_iter().fold(connection, NamedConnection::port);
     let added = app.robot.add_connection_of(robot, &connection);
     added.await.map(|()| Value::Null).map_err(text)
-}
-
-fn stop(app: &App) -> Result<&Arc<Stop>, String> {
-    let stop = app.stop.as_ref();
-    stop.ok_or_else(|| "start the dashboard with --stop <service> to have a stop button".to_owned())
 }
 
 fn milliseconds(since: Instant) -> f64 {

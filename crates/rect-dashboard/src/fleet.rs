@@ -17,7 +17,7 @@ use tokio::{
 use crate::{
     browsers::Browsers,
     protocol::{now_ms, RobotState, ShownConnection, State, TimedEvent, TopicRow},
-    stop::Stop,
+    stop::StopButton,
 };
 use crate::{programs, topics, Failure};
 
@@ -73,7 +73,7 @@ struct FoundTopics {
 struct Observer {
     robot: Robot,
     browsers: Arc<Browsers>,
-    stop: Option<Arc<Stop>>,
+    stop: Arc<StopButton>,
     records: BTreeMap<Name, RobotRecord>,
     events: VecDeque<TimedEvent>,
     asking: JoinSet<Answer>,
@@ -94,7 +94,7 @@ struct Observer {
 pub async fn observe(
     robot: Robot,
     browsers: Arc<Browsers>,
-    stop: Option<Arc<Stop>>,
+    stop: Arc<StopButton>,
 ) -> Result<(), rect::Error> {
     let events = robot.events().await?;
     let mut observer = Observer {
@@ -142,9 +142,7 @@ impl Observer {
     }
 
     fn on_event(&mut self, event: &Event) {
-        if let Some(stop) = &self.stop {
-            stop.on_event(event);
-        }
+        self.stop.on_event(event);
         match event {
             Event::PeerUp { robot } => {
                 let record = self.records.entry(robot.clone()).or_default();

@@ -26,12 +26,12 @@ use std::{
     time::Duration,
 };
 
-use rect::{Robot, Topic};
+use rect::Robot;
 use tokio::{net::TcpListener, time::interval};
 
 use self::{
     browsers::Browsers, feed::Feeds, guard::Guard, login::Logins, recording::Recording,
-    server::Protection, stop::Stop,
+    server::Protection, stop::StopButton,
 };
 
 /// How often the state of a recording is shown.
@@ -45,8 +45,6 @@ pub type Failure = Box<dyn std::error::Error + Send + Sync>;
 pub struct Settings {
     /// The address and port for browsers.
     pub listen: SocketAddr,
-    /// The service of all robots that the Stop button calls. `None`: there is no such button.
-    pub stop: Option<Topic>,
     /// The folder to which the Record button records. `None`: there is no such button.
     pub record: Option<PathBuf>,
     /// Whether the page can neither publish nor change anything.
@@ -92,7 +90,7 @@ struct App {
     browsers: Arc<Browsers>,
     feeds: Feeds,
     recording: Option<Recording>,
-    stop: Option<Arc<Stop>>,
+    stop: Arc<StopButton>,
     read_only: bool,
 }
 
@@ -125,9 +123,8 @@ impl Dashboard {
         let folder = self.settings.record.as_deref().map(writable).transpose()?;
         let is_tls = self.protection.tls.is_some();
         let browsers = Arc::<Browsers>::default();
-        let stop = self.settings.stop;
         let app = Arc::new(App {
-            stop: stop.map(|service| Stop::new(robot.clone(), service, browsers.clone())),
+            stop: StopButton::new(robot.clone(), browsers.clone()),
             browsers,
             feeds: Feeds::new(robot.clone()),
             recording: folder.map(|folder| Recording::new(robot.clone(), folder)),
@@ -136,6 +133,8 @@ impl Dashboard {
         });
         let served = app.clone();
         tokio::spawn(async move { server::serve(self.listener, served, self.protection).await });
+        let stop = app.stop.clone();
+        tokio::spawn(async move { stop.run().await });
         let shown = app.clone();
         tokio::spawn(async move { show_recording(&shown).await });
         Ok(Serving {

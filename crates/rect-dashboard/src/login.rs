@@ -54,6 +54,7 @@ struct State {
 }
 
 struct Session {
+    user: String,
     ends: Instant,
     address: IpAddr,
 }
@@ -153,6 +154,7 @@ impl Logins {
         let token = new_token();
         let ends = now + LASTS;
         let session = Session {
+            user: user.trim().to_owned(),
             ends,
             address: from,
         };
@@ -162,12 +164,12 @@ impl Logins {
         Ok(token)
     }
 
-    /// Returns whether a session of that token lasts.
-    pub fn is_logged_in(&self, token: &str, now: Instant) -> bool {
+    /// Returns who has logged in, if a session of that token lasts.
+    pub fn user(&self, token: &str, now: Instant) -> Option<String> {
         let state = self.state();
         let hash: [u8; 32] = Sha256::digest(token).into();
-        let session = state.sessions.get(&hash);
-        session.is_some_and(|session| session.ends > now)
+        let session = state.sessions.get(&hash)?;
+        (session.ends > now).then(|| session.user.clone())
     }
 
     /// Returns whether a session that lasts began at that address.
@@ -253,10 +255,14 @@ mod tests {
             .expect("right");
         let other = logins.log_in(HERE, "mentor", "other", now).expect("right");
         assert_ne!(token, other);
-        assert!(logins.is_logged_in(&token, now) && !logins.is_logged_in("", now));
-        assert!(!logins.is_logged_in(&token, now + LASTS));
+        assert_eq!(logins.user(&token, now).as_deref(), Some("team"));
+        assert_eq!(
+            (logins.user("", now), logins.user(&token, now + LASTS)),
+            (None, None)
+        );
         logins.log_out(&token);
-        assert!(!logins.is_logged_in(&token, now) && logins.is_logged_in(&other, now));
+        assert_eq!(logins.user(&token, now), None);
+        assert_eq!(logins.user(&other, now).as_deref(), Some("mentor"));
     }
 
     #[test]
@@ -317,7 +323,7 @@ mod tests {
         for after in 1..=MAX_SESSIONS as u64 {
             log_in(after).expect("right");
         }
-        assert!(!logins.is_logged_in(&first, now));
+        assert_eq!(logins.user(&first, now), None);
         assert_eq!(logins.state().sessions.len(), MAX_SESSIONS);
     }
 }

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 /// The version of these messages. A page of another version reloads itself.
-pub const VERSION: u32 = 5;
+pub const VERSION: u32 = 6;
 /// The kind of a message that contains a [`State`].
 pub const STATE: u8 = 1;
 /// The kind of a message that contains a value of a topic.
@@ -101,15 +101,13 @@ pub enum Command {
         /// The robot.
         robot: String,
     },
-    /// Send an urgent request to the configured service of all robots. [`State::Stop`] has their answers.
+    /// Stop the fleet. [`State::Stop`] says how far the robots have followed.
     Stop {
         /// The number of the answer.
         id: u32,
-        /// Whether to ask only robots that have not confirmed the last stop.
-        again: bool,
     },
-    /// Clear the last stop.
-    ClearStop {
+    /// Release all stops of the fleet.
+    ReleaseStop {
         /// The number of the answer.
         id: u32,
     },
@@ -152,8 +150,6 @@ pub enum State<'a> {
         read_only: bool,
         /// Whether the browser has logged in; `None` if there are no logins.
         logged_in: Option<bool>,
-        /// The service of the Stop button.
-        stop: Option<&'a str>,
         /// Whether recordings can be made.
         record: bool,
     },
@@ -196,10 +192,10 @@ pub enum State<'a> {
         /// Why the disk takes nothing at the moment.
         problem: Option<&'a str>,
     },
-    /// The last stop, until it is cleared.
+    /// The stop of the fleet, until it is released.
     Stop {
-        /// `None` if there was none, or it was cleared.
-        run: Option<StopState>,
+        /// `None` if the fleet is not stopped.
+        stop: Option<StopState>,
     },
     /// The number of values that this page has not received because it was too slow.
     Dropped {
@@ -217,32 +213,39 @@ pub enum State<'a> {
     },
 }
 
-/// A stop, and what the robots have answered.
+/// A stop of the fleet, and how far the robots have followed.
 #[derive(Clone, Debug, Serialize)]
 pub struct StopState {
-    /// When somebody pressed the button, in milliseconds since 1970 by this computer's clock.
-    pub at_ms: u64,
-    /// Whether the request was sent.
+    /// The stops that nobody has released, the latest first.
+    pub pressed: Vec<PressedStop>,
+    /// Whether the router of this computer has them.
     pub is_sent: bool,
-    /// Whether a service has still to answer.
-    pub is_open: bool,
-    /// Why the request was not sent, or another problem.
+    /// Why the router does not have the stop, or another problem.
     pub problem: Option<String>,
-    /// The robots, in alphabetical order.
+    /// The other robots, in alphabetical order.
     pub robots: Vec<StoppedRobot>,
 }
 
-/// The answer of a robot to a stop.
+/// A stop that nobody has released.
+#[derive(Clone, Debug, Serialize)]
+pub struct PressedStop {
+    /// The program that pressed it: `<robot>/<program>`.
+    pub by: String,
+    /// Why, in that program's words.
+    pub reason: String,
+    /// When, in milliseconds since 1970 by the clock of that robot.
+    pub at_ms: u64,
+}
+
+/// How far a robot has followed a stop.
 #[derive(Clone, Debug, Serialize)]
 pub struct StoppedRobot {
     /// The robot.
     pub robot: String,
-    /// `waiting`, `confirmed`, `failed`, `no_service`, `silent`, or `unreachable`.
+    /// `confirmed`, `waiting`, `silent`, `ended`, `no_part`, or `unreachable`.
     pub outcome: &'static str,
-    /// How long the confirmation took, in milliseconds.
+    /// How long the confirmation took, in milliseconds, if the stop was pressed at this dashboard.
     pub ms: Option<f64>,
-    /// The error with which its service has replied.
-    pub error: Option<String>,
 }
 
 /// A topic, as the router of its robot has counted it.

@@ -203,19 +203,19 @@ async fn protect(State(served): Shared, request: Request, next: Next) -> Respons
 }
 
 impl Served {
-    /// Returns whether a browser has logged in. `None`: there are no logins.
-    fn is_logged_in(&self, headers: &HeaderMap) -> Option<bool> {
+    /// Returns who has logged in at a browser, if somebody has. `None`: there are no logins.
+    fn login(&self, headers: &HeaderMap) -> Option<Option<String>> {
         let logins = self.protection.logins.as_ref()?;
-        let is_logged_in = |token| logins.is_logged_in(token, Instant::now());
-        Some(token(headers).is_some_and(is_logged_in))
+        let user = |token| logins.user(token, Instant::now());
+        Some(token(headers).and_then(user))
     }
 
     fn access(&self, headers: &HeaderMap) -> Access {
-        match (self.is_logged_in(headers), self.protection.login_for) {
-            (Some(false), LoginFor::Everything) => Access::None,
-            (Some(false), LoginFor::Changes) => Access::Look,
-            (None | Some(true), _) if self.app.read_only => Access::Look,
-            (None | Some(true), _) => Access::Change,
+        match (self.login(headers), self.protection.login_for) {
+            (Some(None), LoginFor::Everything) => Access::None,
+            (Some(None), LoginFor::Changes) => Access::Look,
+            (None | Some(Some(_)), _) if self.app.read_only => Access::Look,
+            (None | Some(Some(_)), _) => Access::Change,
         }
     }
 }
@@ -342,9 +342,9 @@ async fn open_socket(
         .max_message_size(MAX_COMMAND)
         .max_frame_size(MAX_COMMAND)
         .on_upgrade(async move |stream| {
-            let is_logged_in = served.is_logged_in(&headers);
+            let login = served.login(&headers);
             let access = || served.access(&headers);
-            socket::run(stream, &served.app, is_logged_in, &access).await;
+            socket::run(stream, &served.app, login, &access).await;
         })
 }
 

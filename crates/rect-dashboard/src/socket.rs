@@ -21,8 +21,10 @@ use crate::{
 
 /// The largest number of topics that one browser receives.
 const MAX_WATCHES: usize = 64;
-/// The largest number of commands of one browser that are executed at the same time.
+/// The largest number of commands of one browser that are executed at the same time, apart from stops.
 const MAX_COMMANDS: usize = 8;
+/// The largest number of stops of one browser that are executed at the same time. No other command delays them.
+const MAX_STOPS: usize = 2;
 /// How often a browser is asked for a sign of life.
 const PING_EVERY: Duration = Duration::from_secs(10);
 /// How long a browser may take nothing before the connection is ended.
@@ -33,10 +35,13 @@ struct Browser<'a, F> {
     app: &'a Arc<App>,
     /// Returns what the browser may do now.
     access: &'a F,
+    /// The user who has logged in.
+    user: Option<String>,
     outbox: Arc<Outbox>,
     watches: HashMap<u32, Watch>,
     tasks: JoinSet<()>,
     permits: Arc<Semaphore>,
+    stop_permits: Arc<Semaphore>,
     showing_topics: Option<ShowingTopics>,
 }
 
@@ -47,14 +52,15 @@ struct Watch {
 }
 
 /// Serves a browser until it leaves, or may do less than at the beginning because its login has ended. `access` returns what it
-/// may do. `is_logged_in`: `None` if there are no logins.
+/// may do. `login`: the user who has logged in at the browser, if there is one; `None` if there are no logins.
 pub async fn run<F: Fn() -> Access>(
     mut stream: WebSocket,
     app: &Arc<App>,
-    is_logged_in: Option<bool>,
+    login: Option<Option<String>>,
     access: &F,
 ) {
     let at_first = access();
+    let is_logged_in = login.as_ref().map(Option::is_some);
     let Some(outbox) = app.browsers.open(is_logged_in != Some(false)) else {
         close(
             &mut stream,
@@ -67,10 +73,12 @@ pub async fn run<F: Fn() -> Access>(
     let mut browser = Browser {
         app,
         access,
+        user: login.clone().flatten(),
         outbox,
         watches: HashMap::new(),
         tasks: JoinSet::new(),
         permits: Arc::new(Semaphore::new(MAX_COMMANDS)),
+        stop_permits: Arc::new(Semaphore::new(MAX_STOPS)),
         showing_topics: None,
     };
     browser
@@ -140,7 +148,6 @@ impl<F: Fn() -> Access> Browser<'_, F> {
             fleet: app.robot.fleet().as_str(),
             read_only: access < Access::Change,
             logged_in: is_logged_in,
-            stop: app.stop.as_ref().map(|stop| stop.service().as_str()),
             record: app.recording.is_some(),
         })
     }
@@ -190,13 +197,18 @@ impl<F: Fn() -> Access> Browser<'_, F> {
     fn execute(&mut self, command: Command) {
         let id = commands::id_of(&command);
         let (app, outbox, access) = (self.app.clone(), self.outbox.clone(), (self.access)());
-        let Ok(permit) = self.permits.clone().try_acquire_owned() else {
+        let user = self.user.clone();
+        let permits = match command {
+            Command::Stop { .. } => &self.stop_permits,
+            _ => &self.permits,
+        };
+        let Ok(permit) = permits.clone().try_acquire_owned() else {
             let problem = "too many commands at once: wait for the answers".to_owned();
             outbox.put_answer(answer(id, Err(problem)));
             return;
         };
         self.tasks.spawn(async move {
-            let result = commands::execute(&app, command, access).await;
+            let result = commands::execute(&app, command, access, user.as_deref()).await;
             outbox.put_answer(answer(id, result));
             drop(permit);
         });
