@@ -8,7 +8,7 @@ from conftest import Fleet
 from playwright.sync_api import Browser, expect
 from test_views import repeat
 
-VIEWS = ["fleet", "topics/wombat-2%2Farm%2Fstate", "services", "cameras", "connections", "events"]
+VIEWS = ["fleet", "topics/wombat-2%2Farm%2Fstate", "services", "parameters", "cameras", "connections", "events"]
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

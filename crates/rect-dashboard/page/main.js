@@ -8,15 +8,17 @@ import { events } from "./events.js";
 import { fleet } from "./fleet.js";
 import { bytes } from "./format.js";
 import { Link } from "./link.js";
+import { parameters } from "./parameters.js";
 import { services } from "./services.js";
 import { stopButton } from "./stop.js";
 import { topics } from "./topics.js";
 
-const VIEWS = { fleet, topics, services, cameras, connections, events };
+const VIEWS = { fleet, topics, services, parameters, cameras, connections, events };
 const NAMES = {
   fleet: "Fleet",
   topics: "Topics",
   services: "Services",
+  parameters: "Parameters",
   cameras: "Cameras",
   connections: "Connections",
   events: "Events",

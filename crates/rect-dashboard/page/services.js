@@ -56,7 +56,8 @@ function card(form) {
 
 /** Returns the services of a program; one line without a service if it has none. */
 function lines(program) {
-  const served = program.services.map((service) => ({ program, service }));
+  const ordinary = program.services.filter(({ parameters }) => parameters === undefined);
+  const served = ordinary.map((service) => ({ program, service }));
   return served.length > 0 ? served : [{ program, service: null }];
 }
 

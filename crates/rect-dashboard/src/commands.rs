@@ -1,7 +1,7 @@
-//! Executes the commands of the page that are answered: publish, request, connections, check, stop and record.
+//! Executes the commands of the page that are answered: publish, request, connections, check, parameters, stop and record.
 use std::time::{Duration, Instant};
 
-use rect::{Name, NamedConnection, Payload, Topic};
+use rect::{Name, NamedConnection, ParameterOrder, Payload, Topic};
 use rect_core::message::payload;
 use rect_recording::view;
 use serde_json::{json, Value};
@@ -29,6 +29,7 @@ pub fn id_of(command: &Command) -> u32 {
         | Command::Connect { id, .. }
         | Command::Disconnect { id, .. }
         | Command::Check { id, .. }
+        | Command::SetParameters { id, .. }
         | Command::Stop { id }
         | Command::ReleaseStop { id }
         | Command::Record { id, .. } => *id,
@@ -73,6 +74,22 @@ pub async fn execute(app: &App, command: Command, access: Access, user: Option<&
             let robot = Name::new(&robot).map_err(text)?;
             let findings = app.robot.query_registry(robot, "doctor", "");
             findings.await.map_err(text)
+        }
+        Command::SetParameters {
+            robot,
+            group,
+            set,
+            reset,
+            ..
+        } => {
+            let order = match (set.is_empty(), reset.is_empty()) {
+                (_, true) => ParameterOrder::set(set),
+                (true, false) => ParameterOrder::reset(reset),
+                (false, false) => return Err("set parameters or reset them, not both".to_owned()),
+            };
+            let setting = app.robot.with_timeout(TIMEOUT);
+            let in_force = setting.set_parameters(robot.as_str(), &group, order).await;
+            in_force.map(|values| json!(values)).map_err(text)
         }
         Command::Stop { .. } => {
             let by = user.unwrap_or("dashboard");

@@ -68,6 +68,7 @@ pub struct Value {
     missed: u32,
     urgent: bool,
     replayed: bool,
+    ended: bool,
     method: Option<String>,
     problem: Option<String>,
     shown: Bytes,
@@ -194,6 +195,7 @@ impl Value {
             missed: message.missed,
             urgent: message.urgency == Urgency::Urgent,
             replayed: message.replayed,
+            ended: message.retained.is_some_and(|retained| retained.has_ended),
             method: message.method,
             problem: problem.or(value.problem),
             ..value
@@ -244,6 +246,7 @@ impl Value {
             missed: 0,
             urgent: false,
             replayed: false,
+            ended: false,
             method: None,
             problem,
             shown,
@@ -265,6 +268,7 @@ impl Value {
             missed: self.missed,
             urgent: self.urgent,
             replayed: self.replayed,
+            ended: self.ended,
             method: self.method.as_deref(),
             problem: self.problem.as_deref(),
         };

@@ -3,10 +3,10 @@
 //! The page sends [`Command`]s as JSON in text messages. It receives binary messages, whose first byte is their kind: [`STATE`]
 //! is followed by a [`State`] in JSON, and [`DATA`] by the length of a [`DataHeader`] (32 bits, little endian), the header in
 //! JSON, and the value: JSON, or the bytes of a picture or of a frame of a video.
-use std::time::SystemTime;
+use std::{collections::BTreeMap, time::SystemTime};
 
 use axum::body::Bytes;
-use rect::{Connection, Program};
+use rect::{Connection, ParameterValue, Program};
 use rect_core::clock::unix::ms_since_1970;
 use rect_recording::report::EventReport;
 use serde::{Deserialize, Serialize};
@@ -100,6 +100,19 @@ pub enum Command {
         id: u32,
         /// The robot.
         robot: String,
+    },
+    /// Set parameters of a program, or reset some, all or none. The answer has the values that are in force.
+    SetParameters {
+        /// The number of the answer.
+        id: u32,
+        /// The robot.
+        robot: String,
+        /// The group.
+        group: String,
+        /// The new values.
+        set: BTreeMap<String, ParameterValue>,
+        /// The parameters that get their defaults.
+        reset: Vec<String>,
     },
     /// Stop the fleet. [`State::Stop`] says how far the robots have followed.
     Stop {
@@ -374,6 +387,9 @@ pub struct DataHeader<'a> {
     /// Whether the message repeats one of a recording.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub replayed: bool,
+    /// Whether it is retained, and the program that published it has ended.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub ended: bool,
     /// The method by which it arrived.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub method: Option<&'a str>,
