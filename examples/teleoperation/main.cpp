@@ -8,6 +8,7 @@
 #include <iostream>
 #include <rect.hpp>
 #include <rect/nlohmann.hpp>
+#include <string_view>
 #include <thread>
 
 using namespace std::chrono_literals;
@@ -40,17 +41,13 @@ void drive(const rect::Robot& robot, const char* recipient) {
 }
 
 void follow(const rect::Robot& robot) {
-    const auto commands = rect::must(robot.subscribe("*/drive"));
-    for (;;) {
-        const auto message = commands.next(500ms);
-        if (message) {
-            const auto command = rect::must(message->payload.value<Drive>());
-            std::cout << message->sender() << ": " << command.left << " " << command.right << std::endl;
-        } else if (message.error().code == rect::Code::timed_out) {
-            std::cout << "no commands, stopping: " << stop.left << " " << stop.right << std::endl;
-        } else {
-            return;
-        }
+    // The robot also stops before the first command, when the sender is unreachable, and while the fleet is stopped.
+    const auto deadman = rect::must(robot.deadman<Drive>(
+        "*/drive", 500ms,
+        [](const Drive& command) { std::cout << "driving: " << command.left << " " << command.right << std::endl; },
+        [](std::string_view reason) { std::cout << "stopping: " << reason << std::endl; }));
+    while (!rect::must(robot.is_closed())) {
+        std::this_thread::sleep_for(1s);
     }
 }
 

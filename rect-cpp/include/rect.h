@@ -102,6 +102,13 @@ typedef enum rect_code {
     RECT_CODE_NOT_REACHABLE = 27,
     // The value of a retained topic is not kept; the text states why. It was published, unless a program serves the topic.
     RECT_CODE_NOT_RETAINED = 28,
+    // A declaration of parameters is invalid, or one of this program's own values is refused. The text states why.
+    RECT_CODE_PARAMETERS = 29,
+    // No program of the robot has the group of parameters. The text lists its groups. Check that the program is running. A robot that
+    // was configured by an earlier version lacks the rule for `@rect/@set/parameters/**` in its access control.
+    RECT_CODE_NO_PARAMETERS = 30,
+    // The values of parameters are in force, but are lost when the program of the robot ends. The text states why.
+    RECT_CODE_NOT_STORED = 31,
 } rect_code;
 
 // The state of a connection.
@@ -200,6 +207,32 @@ typedef enum rect_element {
     // `double`.
     RECT_ELEMENT_F64 = 8,
 } rect_element;
+
+// The type of the value of a parameter.
+typedef enum rect_parameter_type {
+    // Yes or no.
+    RECT_PARAMETER_TYPE_BOOL = 0,
+    // An integer.
+    RECT_PARAMETER_TYPE_INTEGER = 1,
+    // A finite number.
+    RECT_PARAMETER_TYPE_NUMBER = 2,
+    // A text, or the choice from a list of texts.
+    RECT_PARAMETER_TYPE_TEXT = 3,
+    // A list of finite numbers.
+    RECT_PARAMETER_TYPE_NUMBERS = 4,
+} rect_parameter_type;
+
+// How far a robot has followed the stop or its release.
+typedef enum rect_confirmation {
+    // None of its programs takes part, or it is not reachable.
+    RECT_CONFIRMATION_NONE = 0,
+    // It knows all stops and releases that this program knows.
+    RECT_CONFIRMATION_CONFIRMED = 1,
+    // Its program takes part, and has not confirmed.
+    RECT_CONFIRMATION_WAITING = 2,
+    // The program of the robot that took part has ended.
+    RECT_CONFIRMATION_ENDED = 3,
+} rect_confirmation;
 
 // The reason why a call failed.
 //
@@ -395,6 +428,75 @@ typedef struct rect_named_connection {
     const char *options;
 } rect_named_connection;
 
+// A message from another robot, or from another program of the same robot.
+//
+// A message that a function returns has an `id` and is valid until `rect_drop(&message.id, ..)`. A message that is passed
+// to a callback has no `id` and is valid until the callback returns.
+typedef struct rect_message {
+    // The handle; 0 in a callback.
+    uint64_t id;
+    // The robot that published or sent the message.
+    struct rect_text sender;
+    // The robot that the message was sent to; empty if it was published.
+    struct rect_text recipient;
+    // The topic.
+    struct rect_text topic;
+    // The payload.
+    struct rect_payload payload;
+    // The time of sending by the sender's clock, in milliseconds since 1970; -1 if the sender is a stock Zenoh program. The
+    // clock of a robot without a real-time clock may be wrong by years.
+    int64_t sent_at_ms;
+    // The sequence number that its publisher gave it; -1 if the sender is a stock Zenoh program.
+    int64_t sequence;
+    // Number of messages of the same publisher, directly before this one, that did not arrive.
+    uint32_t missed;
+    // Time until the message expires, in milliseconds, when it was delivered. -1: it does not expire.
+    int64_t expires_in_ms;
+    // Of a retained message, how long ago it was published, in seconds, by the clock of its robot's router; it does not depend on the
+    // time of day. Otherwise NaN.
+    double age_s;
+    // The urgency: a `rect_urgency`.
+    uint32_t urgency;
+    // Whether the message arrived after one with a higher sequence number of the same publisher.
+    bool late;
+    // Whether the message repeats one of a recording. `sent_at_ms` is the time of that one.
+    bool replayed;
+    // Whether the topic is retained (`rect_robot_retained`).
+    bool retained;
+    // Whether the program that published a retained message has ended.
+    bool has_ended;
+    // Whether the robot has forgotten the retained topic: there is no value any more.
+    bool is_forgotten;
+    // The reason why the payload could not be decoded and is as it arrived: it is damaged, or its codec or dictionary is
+    // not available. Also set if the topic was forgotten, so that there is no payload. Otherwise empty.
+    struct rect_text problem;
+    // The method of the link over which the message arrived, e.g. `ble`. Empty if the sender has several links with this
+    // robot, or if the method is not known.
+    struct rect_text method;
+} rect_message;
+
+// A callback that returns whether a message is a command. It is called before the message counts, and must not carry it out. The message
+// is valid until it returns.
+typedef bool (*rect_is_command)(const struct rect_message *message, void *context);
+
+// A callback for messages. The message is valid until the callback returns.
+typedef void (*rect_on_message)(const struct rect_message *message, void *context);
+
+// A callback for the loss of a commander, which stops the motors. `reason` is a text for people, which is valid until the callback
+// returns.
+typedef void (*rect_on_lost)(const char *reason, void *context);
+
+// Called once with a callback's `context` when the callback will not be called any more, even if the function that the
+// callback was passed to fails. May be NULL.
+typedef void (*rect_release)(void *context);
+
+// A dead man's switch. `rect_drop(&deadman.id, ..)` ends it, which is a loss: when that returns, `on_lost` has been called, unless a
+// callback of the switch drops it. Then `on_lost` is called after this callback has returned.
+typedef struct rect_deadman {
+    // The handle.
+    uint64_t id;
+} rect_deadman;
+
 // A change of a robot, a link or the router. It is valid until the callback returns.
 typedef struct rect_event {
     // The kind of the event.
@@ -415,10 +517,6 @@ typedef struct rect_event {
 
 // A callback for events. The event is valid until the callback returns.
 typedef void (*rect_on_event)(const struct rect_event *event, void *context);
-
-// Called once with a callback's `context` when the callback will not be called any more, even if the function that the
-// callback was passed to fails. May be NULL.
-typedef void (*rect_release)(void *context);
 
 // A subscription, watch or event listener that calls a callback for each item, one after another, on a thread of its own,
 // until `rect_drop(&subscription.id, ..)`.
@@ -455,6 +553,93 @@ typedef struct rect_gathered {
     // Number of outcomes.
     size_t len;
 } rect_gathered;
+
+// The name and the value of a parameter. `rect_parameter_number("kp", 2.0)` makes one of a number, and similar functions of the other
+// types.
+typedef struct rect_parameter_value {
+    // The name of the parameter.
+    struct rect_text name;
+    // The type of the value: a `rect_parameter_type`.
+    uint32_t kind;
+    // The value of a bool.
+    bool boolean;
+    // The value of an integer.
+    int64_t integer;
+    // The value of a number or an integer.
+    double number;
+    // The value of a text or a choice.
+    struct rect_text text;
+    // The first number of a list.
+    const double *numbers;
+    // Number of elements of the list.
+    size_t numbers_len;
+} rect_parameter_value;
+
+// The values of parameters. Those that a function returns have an `id`, and are valid until `rect_drop(&values.id, ..)`. Those that are
+// passed to a callback have no `id`, and are valid until the callback returns. `rect_parameter_find` finds one.
+typedef struct rect_parameter_values {
+    // The handle; 0 in a callback.
+    uint64_t id;
+    // The first value.
+    const struct rect_parameter_value *items;
+    // Number of values.
+    size_t len;
+} rect_parameter_values;
+
+// The declaration of a group of parameters, to which a program adds them. Release it with `rect_drop(&parameters.id, ..)`, also after
+// `rect_robot_parameters`.
+typedef struct rect_parameters {
+    // The handle.
+    uint64_t id;
+} rect_parameters;
+
+// The options of a group of parameters. `rect_parameter_options options = {0};` are the defaults, and so is NULL.
+typedef struct rect_parameter_options {
+    // The purpose of the group: at most 200 characters. NULL: nothing.
+    const char *about;
+    // The file in which the values are kept. NULL: `<folder>/<robot>/<group>.json`, in the folder of the environment variable
+    // `RECT_PARAMETERS`, or `~/.local/state/rect/parameters`.
+    const char *file;
+    // Whether the program begins with the defaults at each start: the values are kept in no file.
+    bool without_file;
+} rect_parameter_options;
+
+// A callback that checks values before they are in force: returns whether the program accepts them. If not, it writes the reason to
+// `reason`, with a terminating zero byte; the program that changes them receives it. It must not change parameters. The values are valid
+// until it returns.
+typedef bool (*rect_parameter_check)(const struct rect_parameter_values *values,
+                                     char (*reason)[RECT_ERROR_BYTES],
+                                     void *context);
+
+// A parameter that has another value now.
+typedef struct rect_changed_parameter {
+    // The value before.
+    struct rect_parameter_value before;
+    // The value now.
+    struct rect_parameter_value after;
+} rect_changed_parameter;
+
+// A change of parameters. Those that are changed together are one change. It is valid until the callback returns.
+typedef struct rect_parameter_change {
+    // All values of the group, in the order of the declaration.
+    struct rect_parameter_values values;
+    // The parameters that have another value now.
+    const struct rect_changed_parameter *changed;
+    // Number of these parameters.
+    size_t changed_len;
+    // The program that has changed them, `<robot>/<program>` or `<robot>`; empty if it was this program.
+    struct rect_text by;
+} rect_parameter_change;
+
+// A callback for changes. The change is valid until the callback returns.
+typedef void (*rect_on_parameter_change)(const struct rect_parameter_change *change, void *context);
+
+// A group of parameters of this program. `rect_drop(&group.id, ..)` stores what has changed, ends the group, and waits for calls in
+// progress. Its last values remain visible, as those of a program that has ended. A callback may drop its own group.
+typedef struct rect_parameter_group {
+    // The handle.
+    uint64_t id;
+} rect_parameter_group;
 
 // An uncompressed picture: rows of pixels without padding, from the top left. It is valid until `rect_drop(&picture.id,
 // ..)`.
@@ -574,53 +759,6 @@ typedef struct rect_options {
     const char *program;
 } rect_options;
 
-// A message from another robot, or from another program of the same robot.
-//
-// A message that a function returns has an `id` and is valid until `rect_drop(&message.id, ..)`. A message that is passed
-// to a callback has no `id` and is valid until the callback returns.
-typedef struct rect_message {
-    // The handle; 0 in a callback.
-    uint64_t id;
-    // The robot that published or sent the message.
-    struct rect_text sender;
-    // The robot that the message was sent to; empty if it was published.
-    struct rect_text recipient;
-    // The topic.
-    struct rect_text topic;
-    // The payload.
-    struct rect_payload payload;
-    // The time of sending by the sender's clock, in milliseconds since 1970; -1 if the sender is a stock Zenoh program. The
-    // clock of a robot without a real-time clock may be wrong by years.
-    int64_t sent_at_ms;
-    // The sequence number that its publisher gave it; -1 if the sender is a stock Zenoh program.
-    int64_t sequence;
-    // Number of messages of the same publisher, directly before this one, that did not arrive.
-    uint32_t missed;
-    // Time until the message expires, in milliseconds, when it was delivered. -1: it does not expire.
-    int64_t expires_in_ms;
-    // Of a retained message, how long ago it was published, in seconds, by the clock of its robot's router; it does not depend on the
-    // time of day. Otherwise NaN.
-    double age_s;
-    // The urgency: a `rect_urgency`.
-    uint32_t urgency;
-    // Whether the message arrived after one with a higher sequence number of the same publisher.
-    bool late;
-    // Whether the message repeats one of a recording. `sent_at_ms` is the time of that one.
-    bool replayed;
-    // Whether the topic is retained (`rect_robot_retained`).
-    bool retained;
-    // Whether the program that published a retained message has ended.
-    bool has_ended;
-    // Whether the robot has forgotten the retained topic: there is no value any more.
-    bool is_forgotten;
-    // The reason why the payload could not be decoded and is as it arrived: it is damaged, or its codec or dictionary is
-    // not available. Also set if the topic was forgotten, so that there is no payload. Otherwise empty.
-    struct rect_text problem;
-    // The method of the link over which the message arrived, e.g. `ble`. Empty if the sender has several links with this
-    // robot, or if the method is not known.
-    struct rect_text method;
-} rect_message;
-
 // A list of robot names. Release it with `rect_drop(&names.id, ..)`.
 typedef struct rect_names {
     // The handle.
@@ -685,6 +823,35 @@ typedef struct rect_service {
     uint64_t id;
 } rect_service;
 
+// The stop of the fleet. While a program has one, its robot takes part: it remembers stops, passes them on, and confirms them.
+// `rect_drop(&stop.id, ..)` ends that for this program.
+typedef struct rect_fleet_stop {
+    // The handle.
+    uint64_t id;
+} rect_fleet_stop;
+
+// A stop that nobody has released.
+typedef struct rect_stop {
+    // The program that pressed it: `<robot>/<program>`.
+    struct rect_text by;
+    // Why, in that program's words; empty if it did not say.
+    struct rect_text reason;
+    // The stop in words: `stopped by laptop/page: smoke`.
+    struct rect_text in_words;
+    // When, in milliseconds since 1970 by the clock of that robot.
+    uint64_t at_ms;
+} rect_stop;
+
+// The stops that nobody has released. Release it with `rect_drop(&stops.id, ..)`.
+typedef struct rect_stops {
+    // The handle.
+    uint64_t id;
+    // The first stop.
+    const struct rect_stop *items;
+    // Number of stops.
+    size_t len;
+} rect_stops;
+
 // The options of a stream. Fields that are 0 keep their defaults, so `rect_stream_options options = {0};` is an adaptive
 // stream, and so is NULL.
 typedef struct rect_stream_options {
@@ -744,9 +911,6 @@ typedef struct rect_counts_by_sender {
     // Number of senders.
     size_t len;
 } rect_counts_by_sender;
-
-// A callback for messages. The message is valid until the callback returns.
-typedef void (*rect_on_message)(const struct rect_message *message, void *context);
 
 // The content of a transfer, and its options. Fields that are 0 or NULL keep their defaults.
 typedef struct rect_transfer_options {
@@ -986,6 +1150,48 @@ enum rect_code rect_robot_remove_connection(struct rect_robot robot,
                                             const char *name,
                                             struct rect_error *error);
 
+// Carries out commands while they arrive: calls `on_command` for each message that matches `pattern`, and `on_lost`, which stops the
+// motors, when none has arrived for `within_ms` (20 to 60000), when the robot of the last one cannot be reached, while the fleet is
+// stopped (`rect_robot_fleet_stop`), and before the first one.
+//
+// ```c
+// static void on_drive(const rect_message *message, void *context) { ... }
+//
+// static void on_lost(const char *reason, void *context) {
+//     stop_motors();
+//     printf("stopped: %s\n", reason);
+// }
+//
+// rect_robot_deadman(robot, "laptop/drive", 300, NULL, on_drive, on_lost, NULL, NULL, &deadman, &error);
+// ```
+//
+// `on_lost` gets the reason, once for each loss; the next command resumes. After a stop, the first command that counts is a neutral one,
+// whose numbers are all 0. Retained and replayed messages never count, and neither do those that cannot be decoded, nor those for which
+// `is_command` returns false, such as a message that the program cannot read. `is_command` may be NULL.
+//
+// The callbacks are called on a thread of the switch, one at a time; they may call any function of RECT. One that takes long delays
+// the next one, also `on_lost`. If this program itself hangs, nothing stops its motors: use the watchdog of the motor controller as well.
+//
+// `release` is called once with `context` when no more calls will follow, even if this function fails.
+//
+// Returns `RECT_CODE_OPTION` if `within_ms` is invalid, and `RECT_CODE_TOPIC` or `RECT_CODE_NAME` if the pattern is. May be called on any
+// thread.
+enum rect_code rect_robot_deadman(struct rect_robot robot,
+                                  const char *pattern,
+                                  uint32_t within_ms,
+                                  rect_is_command is_command,
+                                  rect_on_message on_command,
+                                  rect_on_lost on_lost,
+                                  void *context,
+                                  rect_release release,
+                                  struct rect_deadman *deadman,
+                                  struct rect_error *error);
+
+// Writes to `is_following` whether the robot follows commands. May be called on any thread.
+enum rect_code rect_deadman_is_following(struct rect_deadman deadman,
+                                         bool *is_following,
+                                         struct rect_error *error);
+
 // Trains a dictionary of at most `size` bytes (512 to 131072; 4 to 16 kB suit JSON) and writes it to `dictionary`.
 //
 // The samples are a few hundred messages of the kind that will be sent, about ten times `size` in total. Their encodings do
@@ -1077,6 +1283,216 @@ enum rect_code rect_check_topic(const char *topic,
 // if it is not. May be called on any thread.
 enum rect_code rect_check_pattern(const char *pattern,
                                   struct rect_error *error);
+
+// Makes the value of a parameter that is a bool. It points to `name`, which must outlive it.
+struct rect_parameter_value rect_parameter_bool(const char *name, bool value);
+
+// Makes the value of a parameter that is an integer. It points to `name`, which must outlive it.
+struct rect_parameter_value rect_parameter_integer(const char *name, int64_t value);
+
+// Makes the value of a parameter that is a number. It points to `name`, which must outlive it.
+struct rect_parameter_value rect_parameter_number(const char *name, double value);
+
+// Makes the value of a parameter that is a text or a choice. It points to `name` and `value`, which must outlive it. NULL is an empty
+// text.
+struct rect_parameter_value rect_parameter_text(const char *name,
+                                                const char *value);
+
+// Makes the value of a parameter that is a list of `len` numbers. It points to `name` and `numbers`, which must outlive it.
+struct rect_parameter_value rect_parameter_numbers(const char *name,
+                                                   const double *numbers,
+                                                   size_t len);
+
+// Returns the value of that name, which belongs to `values`; NULL if there is none.
+const struct rect_parameter_value *rect_parameter_find(const struct rect_parameter_values *values,
+                                                       const char *name);
+
+// Begins the declaration of a group of parameters: values of this program that people tune while it runs, such as a gain. `group` is
+// the name of the group. Then add parameters, and call `rect_robot_parameters`, which also checks the declaration.
+//
+// ```c
+// must(rect_parameters_new("drive", &parameters, &error));
+// must(rect_parameters_add_number(parameters, "kp", 1.0, 0, 10, "1/s", "gain of the heading", &error));
+// must(rect_robot_parameters(robot, parameters, NULL, NULL, NULL, NULL, NULL, &group, &error));
+// must(rect_parameter_group_number(group, "kp", &kp, &error));
+// ```
+//
+// May be called on any thread.
+enum rect_code rect_parameters_new(const char *group,
+                                   struct rect_parameters *parameters,
+                                   struct rect_error *error);
+
+// Adds a number, with its default. `min` and `max` are its limits, and NAN for none. `unit`, such as `m/s`, and `about`, its purpose,
+// may be NULL. May be called on any thread.
+enum rect_code rect_parameters_add_number(struct rect_parameters parameters,
+                                          const char *name,
+                                          double default_value,
+                                          double min,
+                                          double max,
+                                          const char *unit,
+                                          const char *about,
+                                          struct rect_error *error);
+
+// Adds an integer between -2^53 and 2^53, with its default. The other arguments are those of `rect_parameters_add_number`. May be
+// called on any thread.
+enum rect_code rect_parameters_add_integer(struct rect_parameters parameters,
+                                           const char *name,
+                                           int64_t default_value,
+                                           double min,
+                                           double max,
+                                           const char *unit,
+                                           const char *about,
+                                           struct rect_error *error);
+
+// Adds a switch, with its default. `about`, its purpose, may be NULL. May be called on any thread.
+enum rect_code rect_parameters_add_bool(struct rect_parameters parameters,
+                                        const char *name,
+                                        bool default_value,
+                                        const char *about,
+                                        struct rect_error *error);
+
+// Adds a text of at most 4 kB, with its default. `about`, its purpose, may be NULL. May be called on any thread.
+enum rect_code rect_parameters_add_text(struct rect_parameters parameters,
+                                        const char *name,
+                                        const char *default_value,
+                                        const char *about,
+                                        struct rect_error *error);
+
+// Adds the choice from a list of texts, with its default. `about`, its purpose, may be NULL. May be called on any thread.
+enum rect_code rect_parameters_add_choice(struct rect_parameters parameters,
+                                          const char *name,
+                                          const char *default_value,
+                                          const char *const *choices,
+                                          size_t choices_len,
+                                          const char *about,
+                                          struct rect_error *error);
+
+// Adds a list of at most 256 numbers, with its default. `min` and `max` limit each number, and are NAN for none. `unit` and `about` may
+// be NULL. May be called on any thread.
+enum rect_code rect_parameters_add_numbers(struct rect_parameters parameters,
+                                           const char *name,
+                                           const double *default_values,
+                                           size_t default_values_len,
+                                           double min,
+                                           double max,
+                                           const char *unit,
+                                           const char *about,
+                                           struct rect_error *error);
+
+// Lets only the program itself change a parameter that was added. Returns `RECT_CODE_ARGUMENT` if there is none of that name. May be
+// called on any thread.
+enum rect_code rect_parameters_make_read_only(struct rect_parameters parameters,
+                                              const char *name,
+                                              struct rect_error *error);
+
+// Declares a group of parameters of this program, and writes the handle to `group`. Other programs change them with
+// `rect_robot_set_parameters`, and people with `rect param` and on the dashboard. They are kept in a file, so that they survive a restart.
+// `options` may be NULL: the defaults.
+//
+// `check` is called with the values as they would be before each change, and may refuse it. `on_change` is called after each change, for
+// one change at a time and in order. Both may be NULL. They are called on the thread that changes own parameters with
+// `rect_parameter_group_set`, and on a thread of the session for the changes of others. They may call any function of RECT, and must not
+// take long: the next change waits.
+//
+// `release` is called once with `context` when no more calls will follow, even if this function fails.
+//
+// Returns `RECT_CODE_PARAMETERS` if the declaration is invalid, and `RECT_CODE_SERVICE_REFUSED` if a program of this robot has a group of
+// that name already. A file that cannot be read or does not fit is a warning on standard error. May be called on any thread.
+enum rect_code rect_robot_parameters(struct rect_robot robot,
+                                     struct rect_parameters parameters,
+                                     const struct rect_parameter_options *options,
+                                     rect_parameter_check check,
+                                     rect_on_parameter_change on_change,
+                                     void *context,
+                                     rect_release release,
+                                     struct rect_parameter_group *group,
+                                     struct rect_error *error);
+
+// Writes the values that are in force to `values`, in the order of the declaration. They belong together: a change is in all of them or
+// in none. They do not change any more. May be called on any thread.
+enum rect_code rect_parameter_group_values(struct rect_parameter_group group,
+                                           struct rect_parameter_values *values,
+                                           struct rect_error *error);
+
+// Writes the value of a number or an integer to `number`. Returns `RECT_CODE_PARAMETERS` if there is no parameter of that name, and
+// `RECT_CODE_ARGUMENT` if it has another type. May be called on any thread.
+enum rect_code rect_parameter_group_number(struct rect_parameter_group group,
+                                           const char *name,
+                                           double *number,
+                                           struct rect_error *error);
+
+// Writes the value of an integer to `integer`. Returns the codes of `rect_parameter_group_number`. May be called on any thread.
+enum rect_code rect_parameter_group_integer(struct rect_parameter_group group,
+                                            const char *name,
+                                            int64_t *integer,
+                                            struct rect_error *error);
+
+// Writes the value of a switch to `boolean`. Returns the codes of `rect_parameter_group_number`. May be called on any thread.
+enum rect_code rect_parameter_group_bool(struct rect_parameter_group group,
+                                         const char *name,
+                                         bool *boolean,
+                                         struct rect_error *error);
+
+// Writes the value of a text or a choice to `string`. Returns the codes of `rect_parameter_group_number`. May be called on any thread.
+enum rect_code rect_parameter_group_text(struct rect_parameter_group group,
+                                         const char *name,
+                                         struct rect_string *string,
+                                         struct rect_error *error);
+
+// Changes `len` parameters of this program, also read-only ones: all or none. They are in force when this function returns, and are
+// published and stored in the background.
+//
+// ```c
+// const rect_parameter_value values[] = {rect_parameter_number("kp", 2.0), rect_parameter_text("side", "right")};
+// rect_parameter_group_set(group, values, 2, &error);
+// ```
+//
+// Returns `RECT_CODE_PARAMETERS` with the reason if a value is refused. May be called on any thread, except in a check.
+enum rect_code rect_parameter_group_set(struct rect_parameter_group group,
+                                        const struct rect_parameter_value *values,
+                                        size_t len,
+                                        struct rect_error *error);
+
+// Gives parameters of this program their defaults, also read-only ones. `names` are `len` names; with a `len` of 0, all parameters
+// except for read-only ones are reset.
+//
+// Returns `RECT_CODE_PARAMETERS` with the reason if there is no such parameter or the check refuses the defaults. May be called on any
+// thread, except in a check.
+enum rect_code rect_parameter_group_reset(struct rect_parameter_group group,
+                                          const char *const *names,
+                                          size_t len,
+                                          struct rect_error *error);
+
+// Changes `len` parameters of a program of the robot `target`: all or none. Writes those parameters with the values that are in force
+// now to `in_force`, which may be NULL.
+//
+// `stored` is whether to wait until the program has stored them, which takes up to a second longer; otherwise, a power cut within that
+// second may lose them. Access control may permit the change to some robots only (`@rect/@set/parameters/**`).
+//
+// Returns `RECT_CODE_SERVICE` with the reason if the program refuses a value, `RECT_CODE_NO_PARAMETERS` if it has no such group, and
+// `RECT_CODE_NOT_STORED` if it cannot store the values, which are in force. The other codes are those of `rect_robot_request`. May be called
+// on any thread; blocks until the reply arrives, at most `timeout_ms`.
+enum rect_code rect_robot_set_parameters(struct rect_robot robot,
+                                         const char *target,
+                                         const char *group,
+                                         const struct rect_parameter_value *values,
+                                         size_t len,
+                                         bool stored,
+                                         uint32_t timeout_ms,
+                                         struct rect_parameter_values *in_force,
+                                         struct rect_error *error);
+
+// Gives parameters of a program of the robot `target` their defaults. `names` are `len` names; with a `len` of 0, all parameters except
+// for read-only ones are reset. The other arguments, and the codes, are those of `rect_robot_set_parameters`.
+enum rect_code rect_robot_reset_parameters(struct rect_robot robot,
+                                           const char *target,
+                                           const char *group,
+                                           const char *const *names,
+                                           size_t len,
+                                           bool stored,
+                                           uint32_t timeout_ms,
+                                           struct rect_parameter_values *in_force,
+                                           struct rect_error *error);
 
 // Makes a payload of a text with a terminating zero byte, encoding `text/plain`. NULL is an empty text. The payload points
 // to `text`, which must outlive it.
@@ -1523,6 +1939,58 @@ enum rect_code rect_robot_latest(struct rect_robot robot,
 enum rect_code rect_robot_forget(struct rect_robot robot,
                                  const char *topic,
                                  struct rect_error *error);
+
+// Takes part in the stop of the fleet, and writes the handle to `stop`: with it, this program stops all robots that take part, learns of
+// a stop, and confirms it.
+//
+// A stop holds until somebody releases it. The robots remember it, on their disks as well, and pass it on: one that was out of reach
+// learns of it when it returns, and a program that starts again before this function returns. The motors are up to the program:
+// `rect_robot_deadman` handles stops, and nothing moves at the release.
+//
+// May be called on any thread. Several handles of one program are the same stop.
+enum rect_code rect_robot_fleet_stop(struct rect_robot robot,
+                                     struct rect_fleet_stop *stop,
+                                     struct rect_error *error);
+
+// Stops the fleet, until somebody releases it. `reason`: why, in a few words, for people; may be NULL. Returns when the router of this
+// robot has the stop; `rect_fleet_stop_confirmation` says which robots have it.
+//
+// Returns `RECT_CODE_NOT_RETAINED` if no router keeps it: only robots that are reachable now get it. May be called on any thread.
+enum rect_code rect_fleet_stop_press(struct rect_fleet_stop stop,
+                                     const char *reason,
+                                     struct rect_error *error);
+
+// Releases all stops that this robot knows. Nothing moves yet: `rect_robot_deadman` waits for a neutral command. Nothing happens if there
+// is none. Returns the codes of `rect_fleet_stop_press`. May be called on any thread.
+enum rect_code rect_fleet_stop_release(struct rect_fleet_stop stop,
+                                       struct rect_error *error);
+
+// Writes to `is_stopped` whether the fleet is stopped. May be called on any thread.
+enum rect_code rect_fleet_stop_is_stopped(struct rect_fleet_stop stop,
+                                          bool *is_stopped,
+                                          struct rect_error *error);
+
+// Writes the stops that nobody has released to `stops`, the latest first. May be called on any thread.
+enum rect_code rect_fleet_stop_pressed(struct rect_fleet_stop stop,
+                                       struct rect_stops *stops,
+                                       struct rect_error *error);
+
+// Writes to `confirmation` whether the robot `name` has confirmed the stop, or its release: a `rect_confirmation`.
+//
+// Returns `RECT_CODE_NAME` if the name is invalid. May be called on any thread.
+enum rect_code rect_fleet_stop_confirmation(struct rect_fleet_stop stop,
+                                            const char *name,
+                                            uint32_t *confirmation,
+                                            struct rect_error *error);
+
+// Waits for a stop, a release or a confirmation that was not known when this was called last, or when the handle was created. Several are
+// reported as one.
+//
+// Returns `RECT_CODE_TIMED_OUT` if there is none within `timeout_ms` (`RECT_FOREVER` waits without a limit), and `RECT_CODE_CLOSED` if the
+// session was closed or another thread dropped the handle. May be called on any thread; if several threads wait, one of them continues.
+enum rect_code rect_fleet_stop_wait_for_change(struct rect_fleet_stop stop,
+                                               uint32_t timeout_ms,
+                                               struct rect_error *error);
 
 // Creates a stream of which only the newest frame matters (a slow link drops older ones), and writes it to `stream`.
 // `options` may be NULL for the defaults.

@@ -72,6 +72,13 @@ pub enum Code {
     NotReachable = 27,
     /// The value of a retained topic is not kept; the text states why. It was published, unless a program serves the topic.
     NotRetained = 28,
+    /// A declaration of parameters is invalid, or one of this program's own values is refused. The text states why.
+    Parameters = 29,
+    /// No program of the robot has the group of parameters. The text lists its groups. Check that the program is running. A robot that
+    /// was configured by an earlier version lacks the rule for `@rect/@set/parameters/**` in its access control.
+    NoParameters = 30,
+    /// The values of parameters are in force, but are lost when the program of the robot ends. The text states why.
+    NotStored = 31,
 }
 
 /// The reason why a call failed.
@@ -154,6 +161,9 @@ fn code(error: &Error) -> Code {
         Error::Option { .. } => Code::Option,
         Error::NotReachable { .. } => Code::NotReachable,
         Error::NotRetained { .. } => Code::NotRetained,
+        Error::Parameters { .. } => Code::Parameters,
+        Error::NoParameters { .. } => Code::NoParameters,
+        Error::NotStored { .. } => Code::NotStored,
         Error::NoService { .. } => Code::NoService,
         Error::ServiceRefused { .. } => Code::ServiceRefused,
         Error::Interrupted { .. } => Code::Interrupted,

@@ -1,4 +1,5 @@
-/* Tests the C interface in C99: messages, retained ones, services, streams and transfers. At the end, no handle remains.
+/* Tests the C interface in C99: messages, retained ones, services, streams, transfers, parameters, the dead man's switch and the stop.
+ * At the end, no handle remains.
  *
  *     ctest --preset default -R c99
  */
@@ -225,6 +226,126 @@ static void transfers(rect_robot one, rect_robot two) {
     must(rect_drop(&transfers.id, &error), "drop");
 }
 
+static bool on_check(const rect_parameter_values *values, char (*reason)[RECT_ERROR_BYTES], void *context) {
+    const double kp = rect_parameter_find(values, "kp")->number;
+    (void)context;
+    check(rect_parameter_find(values, "ki") == NULL, "there is no such parameter");
+    snprintf(*reason, sizeof *reason, "kp cannot be %g", kp);
+    return kp != 3;
+}
+
+static void on_change(const rect_parameter_change *change, void *context) {
+    check(change->values.len == 5 && change->changed_len > 0, "something has changed");
+    ++*(int *)context;
+}
+
+static void on_release(void *context) { *(int *)context += 100; }
+
+static void parameters(rect_robot one, rect_robot two) {
+    rect_parameters declared;
+    rect_parameter_options options = {0};
+    rect_parameter_group group;
+    rect_parameter_values values;
+    rect_string side;
+    double number;
+    int64_t steps;
+    bool turbo;
+    int changes = 0;
+    const char *choices[] = {"left", "right"};
+    const char *names[] = {"kp"};
+    const double points[] = {1, 2};
+    const rect_parameter_value order[] = {rect_parameter_number("kp", 2), rect_parameter_text("side", "right"),
+                                          rect_parameter_bool("turbo", true), rect_parameter_integer("steps", 4),
+                                          rect_parameter_numbers("points", points, 1)};
+    const rect_parameter_value large = rect_parameter_number("kp", 11);
+    const rect_parameter_value refused = rect_parameter_number("kp", 3);
+    options.without_file = true;
+    must(rect_parameters_new("drive", &declared, &error), "parameters_new");
+    must(rect_parameters_add_number(declared, "kp", 1, 0, 10, "1/s", "gain", &error), "add_number");
+    must(rect_parameters_add_choice(declared, "side", "left", choices, 2, NULL, &error), "add_choice");
+    must(rect_parameters_add_bool(declared, "turbo", false, NULL, &error), "add_bool");
+    must(rect_parameters_add_integer(declared, "steps", 3, 0, 8, NULL, NULL, &error), "add_integer");
+    must(rect_parameters_add_numbers(declared, "points", points, 2, 0, 8, NULL, NULL, &error), "add_numbers");
+    check(rect_parameters_make_read_only(declared, "ki", &error) == RECT_CODE_ARGUMENT, "there is no such parameter");
+    must(rect_robot_parameters(two, declared, &options, on_check, on_change, &changes, on_release, &group, &error), "parameters");
+    must(rect_drop(&declared.id, &error), "drop");
+    must(rect_robot_wait_until_established(two, TIMEOUT_MS, &error), "wait_until_established");
+    must(rect_robot_set_parameters(one, "wombat-2", "drive", order, 5, false, TIMEOUT_MS, &values, &error), "set_parameters");
+    check(values.len == 5 && rect_parameter_find(&values, "kp")->number == 2, "the values are in force");
+    must(rect_drop(&values.id, &error), "drop");
+    must(rect_parameter_group_number(group, "kp", &number, &error), "number");
+    must(rect_parameter_group_integer(group, "steps", &steps, &error), "integer");
+    must(rect_parameter_group_bool(group, "turbo", &turbo, &error), "bool");
+    must(rect_parameter_group_text(group, "side", &side, &error), "text");
+    check(number == 2 && steps == 4 && turbo && equals(side.text, "right"), "the values are read");
+    must(rect_drop(&side.id, &error), "drop");
+    check(rect_parameter_group_number(group, "side", &number, &error) == RECT_CODE_ARGUMENT, "the type is another one");
+    check(rect_parameter_group_number(group, "ki", &number, &error) == RECT_CODE_PARAMETERS, "there is no such parameter");
+    check(rect_robot_set_parameters(one, "wombat-2", "drive", &large, 1, false, TIMEOUT_MS, NULL, &error) == RECT_CODE_SERVICE,
+          "the value is too large");
+    check(rect_parameter_group_set(group, &refused, 1, &error) == RECT_CODE_PARAMETERS && strcmp(error.text, "kp cannot be 3") == 0,
+          "the check refuses the value");
+    check(rect_robot_set_parameters(one, "wombat-2", "arm", order, 1, false, TIMEOUT_MS, NULL, &error) == RECT_CODE_NO_PARAMETERS,
+          "there is no such group");
+    check(rect_robot_set_parameters(one, "wombat-2", "drive", order, 1, true, TIMEOUT_MS, NULL, &error) == RECT_CODE_NOT_STORED,
+          "there is no file");
+    must(rect_robot_reset_parameters(one, "wombat-2", "drive", names, 1, false, TIMEOUT_MS, NULL, &error), "reset_parameters");
+    must(rect_parameter_group_reset(group, NULL, 0, &error), "reset");
+    must(rect_parameter_group_values(group, &values, &error), "values");
+    check(values.len == 5 && values.items[0].number == 1 && values.items[4].numbers_len == 2, "the values are the defaults");
+    must(rect_drop(&values.id, &error), "drop");
+    must(rect_drop(&group.id, &error), "drop");
+    check(changes == 103, "three changes were reported, and the context was released");
+}
+
+static void on_drive(const rect_message *message, void *context) {
+    (void)message;
+    *(volatile int *)context += 1;
+}
+
+static void on_lost(const char *reason, void *context) {
+    check(strlen(reason) > 0, "there is a reason");
+    *(volatile int *)context += 1000;
+}
+
+static void safety(rect_robot one, rect_robot two) {
+    rect_deadman deadman;
+    rect_fleet_stop stop;
+    rect_stops stops;
+    rect_code code;
+    uint32_t confirmation;
+    bool is_following;
+    bool is_stopped;
+    int calls = 0;
+    const rect_payload neutral = rect_payload_json("0");
+    check(rect_robot_deadman(two, "*/drive", 1, NULL, on_drive, on_lost, &calls, NULL, &deadman, &error) == RECT_CODE_OPTION,
+          "the time is too short");
+    must(rect_robot_deadman(two, "*/drive", TIMEOUT_MS, NULL, on_drive, on_lost, &calls, NULL, &deadman, &error), "deadman");
+    must(rect_robot_wait_until_established(two, TIMEOUT_MS, &error), "wait_until_established");
+    must(rect_robot_publish(one, "drive", &neutral, &error), "publish");
+    do {
+        must(rect_deadman_is_following(deadman, &is_following, &error), "is_following");
+    } while (!is_following);
+    must(rect_robot_fleet_stop(one, &stop, &error), "fleet_stop");
+    must(rect_fleet_stop_press(stop, "smoke", &error), "press");
+    must(rect_fleet_stop_is_stopped(stop, &is_stopped, &error), "is_stopped");
+    must(rect_fleet_stop_pressed(stop, &stops, &error), "pressed");
+    check(is_stopped && stops.len == 1 && equals(stops.items[0].reason, "smoke"), "the fleet is stopped");
+    must(rect_drop(&stops.id, &error), "drop");
+    do {
+        code = rect_fleet_stop_wait_for_change(stop, RETRY_MS, &error);
+        check(code == RECT_CODE_OK || code == RECT_CODE_TIMED_OUT, "wait_for_change");
+        must(rect_fleet_stop_confirmation(stop, "wombat-2", &confirmation, &error), "confirmation");
+    } while (confirmation != RECT_CONFIRMATION_CONFIRMED);
+    do {
+        must(rect_deadman_is_following(deadman, &is_following, &error), "is_following");
+    } while (is_following);
+    must(rect_fleet_stop_release(stop, &error), "release");
+    must(rect_drop(&stop.id, &error), "drop");
+    must(rect_drop(&deadman.id, &error), "drop");
+    check(calls == 3001, "one command and three losses were reported");
+}
+
 int main(void) {
     rect_robot one;
     rect_robot two;
@@ -236,6 +357,8 @@ int main(void) {
     services(one, two);
     streams(one, two);
     transfers(one, two);
+    parameters(one, two);
+    safety(one, two);
     copy = one;
     must(rect_drop(&one.id, &error), "drop");
     check(rect_drop(&copy.id, &error) == RECT_CODE_HANDLE, "dropping a copy of a dropped handle fails");

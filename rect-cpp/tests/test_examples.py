@@ -101,10 +101,10 @@ def test_state(name: str, build: Path, own_router: None, tmp_path: Path) -> None
 
 def test_teleoperation(examples: Path, tmp_path: Path) -> None:
     with Example(examples / "teleoperation", "wombat-1", folder=tmp_path) as one:
-        one.until("no commands, stopping: 0 0")
+        one.until("stopping: no command has arrived yet")
         with Example(examples / "teleoperation", "laptop", "wombat-1", folder=tmp_path):
-            one.until("laptop: ")
-        one.until("no commands, stopping")
+            one.until("driving: ")
+        one.until("stopping: ")
 
 
 def test_camera(examples: Path, tmp_path: Path) -> None:
@@ -153,8 +153,15 @@ def test_examples_have_less_than_80_lines(name: str) -> None:
     [("cpp", "cpp", ["g++", "-std=c++17"]), ("c", "c", ["gcc", "-std=c99"])],
 )
 def test_programs_in_the_documentation_print_the_documented_output(
-    page: str, language: str, compiler: list[str], build: Path, own_router: None, tmp_path: Path
+    page: str,
+    language: str,
+    compiler: list[str],
+    build: Path,
+    own_router: None,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    monkeypatch.setenv("RECT_PARAMETERS", str(tmp_path / "parameters"))
     text = (_REPOSITORY / "docs" / "reference" / f"{page}.md").read_text()
     programs = [block for block in re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL) if "int main" in block]
     assert programs

@@ -6,6 +6,7 @@
 #include <optional>
 #include <rect/nlohmann.hpp>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include "pair.hpp"

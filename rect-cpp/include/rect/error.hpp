@@ -82,6 +82,13 @@ enum class Code {
     not_reachable = RECT_CODE_NOT_REACHABLE,
     /// The value of a retained topic is not kept; the text states why. It was published, unless a program serves the topic.
     not_retained = RECT_CODE_NOT_RETAINED,
+    /// A declaration of parameters is invalid, or one of this program's own values is refused. The text states why.
+    parameters = RECT_CODE_PARAMETERS,
+    /// No program of the robot has the group of parameters. The text lists its groups. Check that the program is running. A robot that
+    /// was configured by an earlier version lacks the rule for `@rect/@set/parameters/**` in its access control.
+    no_parameters = RECT_CODE_NO_PARAMETERS,
+    /// The values of parameters are in force, but are lost when the program of the robot ends. The text states why.
+    not_stored = RECT_CODE_NOT_STORED,
 };
 
 /// The reason why a call failed.

@@ -13,13 +13,16 @@
 
 #include "callback.hpp"
 #include "connection.hpp"
+#include "deadman.hpp"
 #include "dictionary.hpp"
 #include "message.hpp"
 #include "numbers.hpp"
 #include "options.hpp"
+#include "parameters.hpp"
 #include "publisher.hpp"
 #include "recorder.hpp"
 #include "service.hpp"
+#include "stop.hpp"
 #include "stream.hpp"
 #include "transfer.hpp"
 #include "typed.hpp"
@@ -575,6 +578,111 @@ public:
         });
     }
 
+    /// Declares a group of parameters: values of this program that people tune while it runs, such as a gain. They are members of the
+    /// struct `T`, which is read with ParameterGroup::get.
+    ///
+    /// They are set with `set_parameters`, `rect param`, and on the dashboard, and kept in a file, so that they survive a restart.
+    /// `options` may name the file, and functions that check changes and learn of them.
+    ///
+    ///     const auto drive = rect::must(robot.parameters("drive", rect::fields<Drive>().field("kp", &Drive::kp).range(0, 10)));
+    ///     std::cout << drive.get()->kp << std::endl;
+    ///
+    /// Fails with Code::parameters if the declaration is invalid, and with Code::service_refused if a program of this robot has a group of
+    /// that name already. A file that cannot be read or does not fit is a warning on standard error.
+    template <class T>
+    [[nodiscard]] expected<ParameterGroup<T>> parameters(const Text& group, const Fields<T>& fields,
+                                                         const ParameterOptions<T>& options = {}) const {
+        using Functions = detail::GroupFunctions<T>;
+        const auto declared = detail::declare(group.c_str(), fields.all());
+        if (!declared) {
+            return unexpected<Error>(declared.error());
+        }
+        const auto list = std::make_shared<const std::vector<detail::Field<T>>>(fields.all());
+        const detail::Callback<Functions> functions(Functions{list, options.check, options.on_change});
+        rect_parameter_options raw_options{};
+        raw_options.about = options.about.c_str();
+        raw_options.file = detail::or_null(options.file);
+        raw_options.without_file = options.without_file;
+        rect_parameter_group raw_group;
+        rect_error error;
+        const auto code = rect_robot_parameters(raw(), {declared->handle_id()}, &raw_options,
+                                                options.check ? Functions::call_check : nullptr,
+                                                options.on_change ? Functions::call_on_change : nullptr, functions.context(),
+                                                decltype(functions)::release, &raw_group, &error);
+        return detail::value_or_error<ParameterGroup<T>>(code, error, [&] { return ParameterGroup<T>(raw_group.id, list); });
+    }
+
+    /// Changes parameters of a program of the robot `robot`: all or none. Returns them with the values that are in force now. Access
+    /// control may permit it to some robots only (`@rect/@set/parameters/**`).
+    ///
+    ///     rect::must(robot.set_parameters("wombat-2", "drive", {{"kp", 2.0}}));
+    ///
+    /// Fails with Code::service and the reason if the program refuses a value, with Code::no_parameters if it has no such group, and with
+    /// Code::not_stored if it cannot store the values, for which SetOptions::stored waits: they are in force. The other errors are those
+    /// of `request`.
+    expected<ParameterValues> set_parameters(const Text& robot, const Text& group, const ParameterValues& values,
+                                             const SetOptions& options = {}) const {
+        const auto all = detail::raw(values);
+        rect_parameter_values in_force;
+        rect_error error;
+        const auto code = rect_robot_set_parameters(raw(), robot.c_str(), group.c_str(), all.data(), all.size(), options.stored,
+                                                    detail::ms(options.timeout), &in_force, &error);
+        return parameters_or_error(code, error, in_force);
+    }
+
+    /// Gives parameters of a program of the robot `robot` their defaults. Without names: all parameters except for read-only ones. Returns
+    /// and fails like `set_parameters`.
+    expected<ParameterValues> reset_parameters(const Text& robot, const Text& group, const std::vector<std::string>& names = {},
+                                               const SetOptions& options = {}) const {
+        const auto all = detail::pointers(names);
+        rect_parameter_values in_force;
+        rect_error error;
+        const auto code = rect_robot_reset_parameters(raw(), robot.c_str(), group.c_str(), all.data(), all.size(), options.stored,
+                                                      detail::ms(options.timeout), &in_force, &error);
+        return parameters_or_error(code, error, in_force);
+    }
+
+    /// Takes part in the stop of the fleet: with it, this program stops all robots that take part, learns of a stop, and confirms it.
+    ///
+    /// A stop holds until somebody releases it. The robots remember it, on their disks as well, and pass it on: one that was out of reach
+    /// learns of it when it returns, and a program that starts again before this function returns. The motors are up to the program:
+    /// `deadman` handles stops, and nothing moves at the release.
+    [[nodiscard]] expected<FleetStop> fleet_stop() const {
+        rect_fleet_stop stop;
+        rect_error error;
+        const auto code = rect_robot_fleet_stop(raw(), &stop, &error);
+        return detail::value_or_error<FleetStop>(code, error, [&] { return FleetStop(stop.id); });
+    }
+
+    /// Carries out commands while they arrive: calls `on_command(const T&)` for each message that matches `pattern`, and
+    /// `on_lost(std::string_view reason)`, which stops the motors, when none has arrived for the time `within` (20 ms to 60 s), when the
+    /// robot of the last one cannot be reached, while the fleet is stopped (`fleet_stop`), and before the first one. Without a type,
+    /// `on_command` gets a MessageView.
+    ///
+    ///     const auto deadman = rect::must(robot.deadman<Drive>(
+    ///         "laptop/drive", 300ms, [](const Drive& drive) { set_motors(drive.left, drive.right); },
+    ///         [](std::string_view reason) { set_motors(0, 0); }));
+    ///
+    /// `on_lost` gets the reason, once for each loss; the next command resumes. After a stop, the first command that counts is a neutral
+    /// one, whose numbers are all 0. Retained and replayed messages never count, and neither do those whose value does not fit `T`.
+    ///
+    /// Both functions are called on a thread of the switch, one at a time, and may use all of RECT. One that takes long delays the next one,
+    /// also `on_lost`. Exceptions are passed to the function of rect::on_callback_error. If this program itself hangs, nothing stops its
+    /// motors: use the watchdog of the motor controller as well.
+    ///
+    /// Fails with Code::option if `within` is invalid, and with Code::topic or Code::name if the pattern is.
+    template <class T = void, class C, class L>
+    [[nodiscard]] expected<Deadman> deadman(const Text& pattern, Milliseconds within, C&& on_command, L&& on_lost) const {
+        using Functions = detail::DeadmanFunctions<T, std::decay_t<C>, std::decay_t<L>>;
+        const detail::Callback<Functions> functions(Functions{std::forward<C>(on_command), std::forward<L>(on_lost), raw()});
+        rect_deadman deadman;
+        rect_error error;
+        const auto code = rect_robot_deadman(raw(), pattern.c_str(), detail::ms(within), Functions::is_command,
+                                             Functions::call_on_command, Functions::call_on_lost, functions.context(),
+                                             decltype(functions)::release, &deadman, &error);
+        return detail::value_or_error<Deadman>(code, error, [&] { return Deadman(deadman.id); });
+    }
+
     /// Returns the counts of this program's messages.
     [[nodiscard]] expected<Counters> counters() const {
         Counters counters;
@@ -607,6 +715,14 @@ private:
         rect_error error;
         const auto code = make(&robot, &error);
         return detail::value_or_error<Robot>(code, error, [&] { return Robot(robot.id); });
+    }
+
+    static expected<ParameterValues> parameters_or_error(rect_code code, const rect_error& error,
+                                                         const rect_parameter_values& values) {
+        return detail::value_or_error<ParameterValues>(code, error, [&] {
+            const Handle handle(values.id);
+            return detail::parameter_values(values);
+        });
     }
 
     template <class F, class Make>

@@ -1,0 +1,289 @@
+//! Runs a dead man's switch: calls a callback for each command while commands arrive, and another one when the commander is lost.
+use std::{
+    ffi::{c_char, c_void},
+    mem::MaybeUninit,
+    sync::{
+        atomic::{AtomicBool, Ordering},
+        Arc, Mutex, PoisonError,
+    },
+    thread::{self, JoinHandle},
+    time::{Duration, Instant},
+};
+
+use rect_core::deadman;
+use tokio_util::sync::CancellationToken;
+
+use crate::{
+    argument::{require, text},
+    boundary::{buffer, call, require_out, write_out, ErrorOut, ERROR_BYTES},
+    callback::{Callback, Release},
+    failure::{Code, Failure},
+    handle::{self, Object},
+    message::{self, problem, Message},
+    program::Program,
+    robot::RobotHandle,
+    subscriber::OnMessage,
+};
+
+/// A dead man's switch. `rect_drop(&deadman.id, ..)` ends it, which is a loss: when that returns, `on_lost` has been called, unless a
+/// callback of the switch drops it. Then `on_lost` is called after this callback has returned.
+#[repr(C)]
+#[derive(Clone, Copy)]
+pub struct Deadman {
+    /// The handle.
+    pub id: u64,
+}
+
+/// A callback that returns whether a message is a command. It is called before the message counts, and must not carry it out. The message
+/// is valid until it returns.
+pub type IsCommand = Option<extern "C" fn(message: *const Message, context: *mut c_void) -> bool>;
+
+/// A callback for the loss of a commander, which stops the motors. `reason` is a text for people, which is valid until the callback
+/// returns.
+pub type OnLost = Option<extern "C" fn(reason: *const c_char, context: *mut c_void)>;
+
+/// The next call of the program.
+enum Action {
+    Command(Box<rect::Message>),
+    Lost(String),
+}
+
+struct Switch {
+    stop: rect::FleetStop,
+    events: rect::Events,
+    commands: rect::Subscriber,
+    state: tokio::sync::Mutex<State>,
+    is_following: AtomicBool,
+    end: CancellationToken,
+}
+
+struct State {
+    switch: deadman::Deadman,
+    stops: rect::StopChanges,
+    has_ended: bool,
+}
+
+struct RunningSwitch {
+    switch: Arc<Switch>,
+    thread: Mutex<Option<JoinHandle<()>>>,
+}
+
+impl Object for RunningSwitch {
+    const KIND: &'static str = "dead man's switch";
+
+    fn on_dropped(&self) {
+        self.switch.end.cancel();
+        let thread = (self.thread.lock().unwrap_or_else(PoisonError::into_inner)).take();
+        match thread {
+            Some(thread) if thread.thread().id() != thread::current().id() => {
+                // Fails only after a panic.
+                let _ = thread.join();
+            }
+            _ => {}
+        }
+    }
+}
+
+impl Switch {
+    fn declare(program: &Program, pattern: &str, within: Duration) -> Result<Self, Failure> {
+        let option = "within_ms";
+        let switch = deadman::Deadman::new(within).map_err(|reason| rect::Error::Option {
+            option,
+            value: within.as_millis().to_string(),
+            source: reason.into(),
+        })?;
+        let pattern = rect::Pattern::new(pattern)?;
+        let stop = program.wait(program.robot.fleet_stop())?;
+        let mut state = State {
+            switch,
+            stops: stop.changes(),
+            has_ended: false,
+        };
+        state.switch.on_stop(reason(&stop));
+        Ok(Self {
+            events: program.wait(program.robot.events())?,
+            commands: program.wait(program.robot.subscribe(pattern))?,
+            stop,
+            state: tokio::sync::Mutex::new(state),
+            is_following: AtomicBool::new(false),
+            end: CancellationToken::new(),
+        })
+    }
+
+    /// Returns the next call of the program, and `None` after the end. Only one thread waits for it.
+    async fn next(&self, is_command: impl Fn(&rect::Message) -> bool) -> Option<Action> {
+        let mut state = self.state.lock().await;
+        let State {
+            switch,
+            stops,
+            has_ended,
+        } = &mut *state;
+        if *has_ended {
+            return None;
+        }
+        loop {
+            if let Some(reason) = switch.poll(Instant::now()) {
+                return Some(self.lost(reason));
+            }
+            let deadline = switch.deadline();
+            let expired = async {
+                match deadline {
+                    Some(deadline) => tokio::time::sleep_until(deadline.into()).await,
+                    None => std::future::pending().await,
+                }
+            };
+            let is_open = tokio::select! {
+                biased;
+                () = self.end.cancelled() => false,
+                changed = stops.next() => {
+                    switch.on_stop(reason(&self.stop));
+                    changed.is_some()
+                }
+                event = self.events.next() => {
+                    match &event {
+                        Some(rect::Event::PeerDown { robot }) => switch.on_gone(robot),
+                        Some(rect::Event::ProgramDown { robot, .. }) => {
+                            switch.on_program_gone(Instant::now(), robot);
+                        }
+                        _ => {}
+                    }
+                    event.is_some()
+                }
+                message = self.commands.next() => match message {
+                    Some(message) => {
+                        if is_command(&message) && switch.on_command(Instant::now(), &message) {
+                            self.is_following.store(true, Ordering::Release);
+                            return Some(Action::Command(message.into()));
+                        }
+                        true
+                    }
+                    None => false,
+                },
+                () = expired => true,
+            };
+            if !is_open {
+                *has_ended = true;
+                return Some(self.lost("the dead man's switch has ended".to_owned()));
+            }
+        }
+    }
+
+    fn lost(&self, reason: String) -> Action {
+        self.is_following.store(false, Ordering::Release);
+        Action::Lost(reason)
+    }
+}
+
+fn reason(stop: &rect::FleetStop) -> Option<String> {
+    stop.pressed().first().map(rect::Stop::in_words)
+}
+
+/// Calls a callback for messages, and returns its result; `None` if it is closed.
+fn with_message<T>(
+    callback: &Callback,
+    message: &rect::Message,
+    function: impl FnOnce(*const Message, *mut c_void) -> T,
+) -> Option<T> {
+    let problem = problem(message);
+    let view = message::view(message, problem.as_deref());
+    let mut result = None;
+    callback.run(|context| result = Some(function(&view, context)));
+    result
+}
+
+/// Carries out commands while they arrive: calls `on_command` for each message that matches `pattern`, and `on_lost`, which stops the
+/// motors, when none has arrived for `within_ms` (20 to 60000), when the robot of the last one cannot be reached, while the fleet is
+/// stopped (`rect_robot_fleet_stop`), and before the first one.
+///
+/// ```c
+/// static void on_drive(const rect_message *message, void *context) { ... }
+///
+/// static void on_lost(const char *reason, void *context) {
+///     stop_motors();
+///     printf("stopped: %s\n", reason);
+/// }
+///
+/// rect_robot_deadman(robot, "laptop/drive", 300, NULL, on_drive, on_lost, NULL, NULL, &deadman, &error);
+/// ```
+///
+/// `on_lost` gets the reason, once for each loss; the next command resumes. After a stop, the first command that counts is a neutral one,
+/// whose numbers are all 0. Retained and replayed messages never count, and neither do those that cannot be decoded, nor those for which
+/// `is_command` returns false, such as a message that the program cannot read. `is_command` may be NULL.
+///
+/// The callbacks are called on a thread of the switch, one at a time; they may call any function of RECT. One that takes long delays
+/// the next one, also `on_lost`. If this program itself hangs, nothing stops its motors: use the watchdog of the motor controller as well.
+///
+/// `release` is called once with `context` when no more calls will follow, even if this function fails.
+///
+/// Returns `RECT_CODE_OPTION` if `within_ms` is invalid, and `RECT_CODE_TOPIC` or `RECT_CODE_NAME` if the pattern is. May be called on any
+/// thread.
+#[no_mangle]
+pub unsafe extern "C" fn rect_robot_deadman(
+    robot: RobotHandle,
+    pattern: *const c_char,
+    within_ms: u32,
+    is_command: IsCommand,
+    on_command: OnMessage,
+    on_lost: OnLost,
+    context: *mut c_void,
+    release: Release,
+    deadman: Option<&mut MaybeUninit<Deadman>>,
+    error: Option<&mut MaybeUninit<ErrorOut>>,
+) -> Code {
+    let callback = Arc::new(Callback::new(context, release));
+    call(error, || {
+        require_out("deadman", &deadman)?;
+        // SAFETY: the caller follows the rules of rect.h.
+        let pattern = unsafe { text("pattern", pattern) }?;
+        let on_command = require("on_command", on_command)?;
+        let on_lost = require("on_lost", on_lost)?;
+        let program = robot.resolve()?;
+        let within = Duration::from_millis(within_ms.into());
+        let switch = Arc::new(Switch::declare(&program, pattern, within)?);
+        let (running, runtime) = (switch.clone(), program.runtime.clone());
+        let run = move || {
+            let is_command = |message: &rect::Message| match is_command {
+                Some(is_command) => with_message(&callback, message, |view, context| {
+                    is_command(view, context)
+                })
+                .unwrap_or(false),
+                None => true,
+            };
+            let act = |action| match action {
+                Action::Command(message) => with_message(&callback, &message, |view, context| {
+                    on_command(view, context)
+                })
+                .is_some(),
+                Action::Lost(reason) => {
+                    let reason: [c_char; ERROR_BYTES] = buffer(&reason);
+                    callback.run(|context| on_lost(reason.as_ptr(), context))
+                }
+            };
+            runtime.for_each(|| running.next(is_command), act);
+            callback.close();
+        };
+        let thread = thread::Builder::new()
+            .name("rect-deadman".into())
+            .spawn(run);
+        let thread = thread.map_err(|source| rect::Error::Thread { source })?;
+        let id = handle::insert(RunningSwitch {
+            switch,
+            thread: Mutex::new(Some(thread)),
+        });
+        write_out("deadman", deadman, Deadman { id })
+    })
+}
+
+/// Writes to `is_following` whether the robot follows commands. May be called on any thread.
+#[no_mangle]
+pub extern "C" fn rect_deadman_is_following(
+    deadman: Deadman,
+    is_following: Option<&mut MaybeUninit<bool>>,
+    error: Option<&mut MaybeUninit<ErrorOut>>,
+) -> Code {
+    call(error, || {
+        let running: Arc<RunningSwitch> = handle::get(deadman.id)?;
+        let following = running.switch.is_following.load(Ordering::Acquire);
+        write_out("is_following", is_following, following)
+    })
+}
