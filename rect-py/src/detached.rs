@@ -43,6 +43,14 @@ pub fn detached<T: Send>(py: Python<'_>, work: impl FnOnce() -> T + Send) -> T {
     py.detach(work)
 }
 
+/// Runs `work` with the GIL, on a thread that Python does not know, unless Python is about to exit.
+pub fn attached(work: impl FnOnce(Python<'_>)) {
+    let _working = Working::begin();
+    if !IS_ENDING.load(SeqCst) {
+        Python::attach(work);
+    }
+}
+
 /// Prepares for the exit of Python: makes all later work keep the GIL, and waits until no thread does native work
 /// without it, for at most `timeout_s` seconds.
 #[pyfunction]

@@ -8,6 +8,7 @@ mod clock;
 mod codec;
 mod connection;
 mod counters;
+mod deadman;
 mod decoder;
 mod detached;
 mod driver;
@@ -26,6 +27,7 @@ mod retry;
 mod router;
 mod settings;
 mod state;
+mod stop;
 mod stream;
 mod transfer;
 mod urgency;
@@ -44,6 +46,7 @@ mod _rect {
         codec::{decode, Codec, Dictionary},
         connection::{named_connection, Links},
         counters::AtomicCounters,
+        deadman::DeadmanSwitch,
         decoder::{Decoder, Fetched},
         detached::{forget_work, settle},
         driver::{
@@ -77,6 +80,7 @@ mod _rect {
         state::{
             latest, state_keeper, KeptValue, ProgramState, RetainedValue, StateArrival, StateOrder,
         },
+        stop::FleetStop,
         stream::{FrameReader, Job, StreamPublish, StreamWatch},
         transfer::{OfferedTransfer, TransferPull, TransferPush, TransferReception},
         urgency::{choose_session, qos},
@@ -117,6 +121,7 @@ mod _rect {
         module.add("ROBOT_TIMEOUT_S", router::ROBOT_TIMEOUT.as_secs_f64())?;
         module.add("ROUTER_VARIABLE", endpoint::ROUTER_VARIABLE)?;
         module.add("SERVICE_CAPACITY", service::CAPACITY)?;
+        module.add("STOP_TOPIC", rect_core::stop::TOPIC)?;
         module.add("__version__", env!("CARGO_PKG_VERSION"))
     }
 }

@@ -34,7 +34,10 @@ pub struct Inbound(Mutex<message::Inbound>);
 
 /// The fields of a message except its payload.
 #[pyclass(frozen, module = "rect._rect")]
-pub struct MessageMetadata(Message);
+pub struct MessageMetadata {
+    message: Message,
+    arrived_at: Instant,
+}
 
 #[pymethods]
 impl Inbound {
@@ -98,7 +101,7 @@ impl Inbound {
             subscription,
         };
         let delivered = self.inbound().on_delivery(delivered, Instant::now);
-        delivered.map(MessageMetadata)
+        delivered.map(MessageMetadata::of)
     }
 
     /// Returns the key expressions of messages to all robots.
@@ -124,18 +127,26 @@ impl Inbound {
 }
 
 impl MessageMetadata {
-    /// Wraps a message, whose payload is not used.
+    /// Wraps a message that has just arrived, and whose payload is not used.
     pub fn of(message: Message) -> Self {
-        Self(message)
+        Self {
+            message,
+            arrived_at: Instant::now(),
+        }
+    }
+
+    /// Returns when the message arrived at this program.
+    pub fn arrived_at(&self) -> Instant {
+        self.arrived_at
     }
 
     /// Returns the message without its payload.
     pub fn message(&self) -> Message {
-        self.0.clone()
+        self.message.clone()
     }
 
     pub fn sender_name(&self) -> &Name {
-        &self.0.sender
+        &self.message.sender
     }
 }
 
@@ -143,59 +154,59 @@ impl MessageMetadata {
 impl MessageMetadata {
     #[getter]
     fn sender(&self) -> &str {
-        self.0.sender.as_str()
+        self.message.sender.as_str()
     }
 
     #[getter]
     fn recipient(&self) -> Option<&str> {
-        self.0.recipient.as_ref().map(|name| name.as_str())
+        self.message.recipient.as_ref().map(|name| name.as_str())
     }
 
     #[getter]
     fn topic(&self) -> &str {
-        self.0.topic.as_str()
+        self.message.topic.as_str()
     }
 
     #[getter]
     fn urgency(&self) -> &'static str {
-        urgency::as_str(self.0.urgency)
+        urgency::as_str(self.message.urgency)
     }
 
     #[getter]
     fn sent_at_ms(&self) -> Option<u64> {
-        self.0.sent_at.map(ms_since_1970)
+        self.message.sent_at.map(ms_since_1970)
     }
 
     #[getter]
     fn sequence(&self) -> Option<u32> {
-        self.0.sequence
+        self.message.sequence
     }
 
     #[getter]
     pub fn missed(&self) -> u32 {
-        self.0.missed
+        self.message.missed
     }
 
     /// Whether the message has expired.
     #[getter]
     fn is_expired(&self) -> bool {
-        self.0.is_expired(Instant::now())
+        self.message.is_expired(Instant::now())
     }
 
     #[getter]
     fn late(&self) -> bool {
-        self.0.late
+        self.message.late
     }
 
     #[getter]
     fn replayed(&self) -> bool {
-        self.0.replayed
+        self.message.replayed
     }
 
     /// The age of a retained value in seconds, whether its program has ended, and whether its topic is forgotten.
     #[getter]
     fn retained(&self) -> Option<(f64, bool, bool)> {
-        let retained = self.0.retained?;
+        let retained = self.message.retained?;
         let age_s = retained.age.as_secs_f64();
         Some((age_s, retained.has_ended, retained.is_forgotten))
     }

@@ -12,7 +12,17 @@
 """
 
 from rect._rect import Codec, Dictionary, __version__
-from rect.choices import ConnectionState, EventKind, LossyFormat, PixelFormat, StreamMode, Urgency, WhenFull
+from rect.choices import (
+    Confirmation,
+    ConnectionState,
+    EventKind,
+    LossyFormat,
+    PixelFormat,
+    StreamMode,
+    Urgency,
+    WhenFull,
+)
+from rect.deadman import Deadman
 from rect.errors import (
     Closed,
     CodecError,
@@ -56,6 +66,7 @@ from rect.reply import Gathered, Outcome, Reply
 from rect.request import Replies
 from rect.robot import Robot, connect
 from rect.service import Refusal, Request, Service
+from rect.stop import FleetStop, Stop
 from rect.stream import Frame, StreamSender, Watcher
 from rect.subscriber import SenderCounts, Subscriber, Subscription
 from rect.transfer import OutgoingTransfer, Progress, Received, Transfers
@@ -68,16 +79,19 @@ __all__ = [
     "Closed",
     "Codec",
     "CodecError",
+    "Confirmation",
     "Connection",
     "ConnectionState",
     "Connections",
     "Counters",
+    "Deadman",
     "Dictionary",
     "DictionaryError",
     "Event",
     "EventKind",
     "Events",
     "FileError",
+    "FleetStop",
     "Frame",
     "Gathered",
     "GroupOptions",
@@ -133,6 +147,7 @@ __all__ = [
     "ServiceEntry",
     "ServiceError",
     "ServiceRefused",
+    "Stop",
     "StreamMode",
     "StreamSender",
     "Subscriber",

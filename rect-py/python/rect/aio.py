@@ -23,8 +23,11 @@ import zenoh as stock
 
 from rect import _rect
 from rect import robot as blocking
+from rect.aio_safety import Deadman as Deadman
+from rect.aio_safety import FleetStop as FleetStop
 from rect.choices import Urgency, WhenFull
 from rect.deadline import Deadline
+from rect.deadman import DeadmanExecutor
 from rect.errors import CodecError, TimedOut
 from rect.events import Counters, Event
 from rect.events import Events as BlockingEvents
@@ -42,6 +45,7 @@ from rect.request import Replies as BlockingReplies
 from rect.robot import DEFAULT_TIMEOUT, CodecLike
 from rect.service import Request, Requests
 from rect.state import Retain
+from rect.stop import executor_of as stop_executor_of
 from rect.stream import Frame
 from rect.stream import StreamSender as BlockingStreamSender
 from rect.stream import Watcher as BlockingWatcher
@@ -399,6 +403,40 @@ class Robot:
         return await asyncio.to_thread(
             lambda: self._robot.set_parameters(robot, group, values, reset=reset, stored=stored)
         )
+
+    async def deadman(
+        self,
+        pattern: str,
+        drive: Callable[[Message[Any]], object],
+        *,
+        within: float,
+        on_lost: Callable[[str], object],
+        type: Any = None,
+    ) -> Deadman:
+        """Carries out commands in the event loop while they arrive; see `rect.Robot.deadman`.
+
+        `on_lost` is a plain function, and is called on the thread of the switch rather than in the event loop, so that
+        a loop that is busy does not delay it.
+        """
+        if inspect.iscoroutinefunction(on_lost):
+            raise TypeError("on_lost must be a plain function, since the event loop may be busy when it is called")
+        arguments = (self._session, pattern, drive, within, on_lost, type)
+        executor = await asyncio.to_thread(DeadmanExecutor, *arguments)
+        switch = Deadman(executor, drive)
+        Subscription(self, Subscriber(executor.subscriber), switch.on_message, pattern)
+        return switch
+
+    async def fleet_stop(self, on_change: Callable[[FleetStop], object] | None = None) -> FleetStop:
+        """Takes part in the stop of the fleet; see `rect.Robot.fleet_stop`. `on_change` is called in the event loop."""
+        callable_or_none(on_change)
+        executor = await asyncio.to_thread(stop_executor_of, self._session)
+        stop = FleetStop(executor)
+        if on_change is not None:
+            changes = executor.changes()
+            changes.stop = stop
+            source: _Source[FleetStop] = _Source(changes, "change", changes.next_async)
+            Subscription(self, source, on_change, "changes of the stop")
+        return stop
 
     def stream(self, topic: str, **options: Any) -> StreamSender:
         """Opens a stream for sending frames; see `rect.Robot.stream`."""

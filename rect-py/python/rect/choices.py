@@ -46,3 +46,8 @@ EventKind = Literal[
 ConnectionState = Literal["connected", "connecting", "discovered"]
 """The state of a `Connection`: `connected` has a link, `connecting` is configured and has no link yet, and `discovered`
 is a robot whose advertisement was received and to which there is no link."""
+
+Confirmation = Literal["confirmed", "waiting", "ended"]
+"""How far a robot has followed a stop of the fleet, or its release: `confirmed` knows all stops and releases that this
+program knows, `waiting` takes part and has not confirmed, and `ended` is a robot whose program that took part has
+ended."""

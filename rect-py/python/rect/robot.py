@@ -11,6 +11,7 @@ import zenoh
 
 from rect import _rect, advice, registry
 from rect.choices import LossyFormat, StreamMode, Urgency, WhenFull
+from rect.deadman import Deadman, DeadmanExecutor
 from rect.errors import OptionError
 from rect.events import Counters, Event, Events
 from rect.message import Message
@@ -28,6 +29,7 @@ from rect.reply import Reply
 from rect.request import Replies, RetriedRequest
 from rect.service import Request, Service
 from rect.state import Retain, retention
+from rect.stop import FleetStop, fleet_stop
 from rect.stream import Frame, StreamSender, Watcher
 from rect.subscriber import Subscriber, Subscription, callable_or_none, decoded
 from rect.transfer import OnProgress, OutgoingTransfer, Progress, Received, Transfers
@@ -656,6 +658,92 @@ class Robot:
         self._session.check()
         asked = text("robot", robot), text("group", group)
         return set_parameters(self._session, *asked, {**(values or {}), **more}, reset, stored)
+
+    @overload
+    def deadman(
+        self,
+        pattern: str,
+        drive: Callable[[Message[T]], object],
+        *,
+        within: float,
+        on_lost: Callable[[str], object],
+        type: type[T],
+    ) -> Deadman: ...
+    @overload
+    def deadman(
+        self,
+        pattern: str,
+        drive: Callable[[Message[Any]], object],
+        *,
+        within: float,
+        on_lost: Callable[[str], object],
+        type: Any = None,
+    ) -> Deadman: ...
+    def deadman(
+        self,
+        pattern: str,
+        drive: Callable[[Message[Any]], object],
+        *,
+        within: float,
+        on_lost: Callable[[str], object],
+        type: Any = None,
+    ) -> Deadman:
+        """Carries out commands while they arrive: calls `drive` for each message that matches the pattern, and
+        `on_lost`, which stops the motors, when none arrives.
+
+        - `within`: time in seconds without another command after which the commander is lost, 0.02 to 60.
+        - `on_lost`: called with the reason, once for each loss: before the first command, when none has arrived for
+          `within`, when the robot of the last one cannot be reached, while the fleet is stopped (`fleet_stop`), and
+          when the switch ends. The next command resumes.
+        - `type`: type of the values; see `subscribe`.
+
+        After a stop of the fleet, the first command that counts is neutral: all its numbers are 0. Retained and
+        replayed messages never count. Neither do messages without a value, and those that have waited for `within`
+        because `drive` took too long.
+
+        `drive` is called on one thread and `on_lost` on another, which is native: it is not delayed by a thread that
+        sleeps or waits, and by 5 ms at most by one that computes in Python, since that is how often Python switches
+        threads (measured: docs/how-to/stop.md). Native code that holds Python's lock for longer delays it for as long.
+        If the commander is lost while `drive` is running, `on_lost` is called at once, and again after `drive`; no call
+        of `drive` begins before `on_lost` has returned. If this program itself hangs, nothing stops its motors: use the
+        watchdog of the motor controller as well.
+
+        Raises `InvalidTopicError`, `InvalidNameError`, `OptionError`, `ThreadError`, `Closed` and `TypeError`. Example:
+
+            def drive(message):
+                set_motors(message.value["left"], message.value["right"])
+
+            def stop_motors(reason):
+                set_motors(0, 0)
+                print("stopped:", reason)
+
+            robot.deadman("laptop/drive", drive, within=0.3, on_lost=stop_motors)
+        """
+        return Deadman(DeadmanExecutor(self._session, pattern, drive, within, on_lost, type), drive)
+
+    def fleet_stop(self, on_change: Callable[[FleetStop], object] | None = None) -> FleetStop:
+        """Takes part in the stop of the fleet: with it, this program stops all robots that take part, learns of a stop,
+        and confirms it.
+
+        A stop holds until somebody releases it. The robots remember it, on their disks as well, and pass it on: one
+        that was out of reach learns of it when it returns, and a program that starts again before this method returns.
+        The motors are up to the program; `deadman` handles stops, and nothing moves at the release.
+
+        - `on_change`: called with the `FleetStop` after each stop, release and confirmation, one call at a time, on a
+          separate thread. Several changes may be one call.
+
+        Raises `ZenohError`, `ThreadError` and `Closed`.
+
+        >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
+        ...     stop = robot.fleet_stop()
+        ...     stop.press("smoke")
+        ...     stop.pressed[0].reason
+        ...     stop.release()
+        ...     stop.is_stopped
+        'smoke'
+        False
+        """
+        return fleet_stop(self._session, on_change)
 
     def stream(
         self,

@@ -164,6 +164,8 @@ class Session:
         self.recipients: Checking
         #: Retained messages; set when the session is complete.
         self.state: Retaining
+        #: The stop of the fleet, once the program takes part in it.
+        self.fleet_stop: Any = None
         #: Links of the robot's router; `None` without a router.
         self.links: _rect.Links | None = None
         _OPEN.add(self)
