@@ -281,6 +281,78 @@ def test_named_connections_are_parameters(routers: Routers) -> None:
         robot.remove_connection("laptop")
 
 
+def test_parameters_of_programs_are_shown_and_changed_if_permitted(routers: Routers) -> None:
+    in_memory = rect.GroupOptions(file=False)
+    side, kp = rect.Choice("left", "right"), rect.Number(1.0, min=0, max=10)
+    with routers.connect("wombat-1") as robot:
+        drive = robot.parameters("drive", in_memory, kp=kp, side=side, steps=3, points=[1.0, 2.5])
+        with serving(routers, "--publish") as address, viewer(address) as shown, viewer(address) as other:
+            until_all(shown, "wombat-1/drive/kp", 1.0)
+            values = {"kp": 1.0, "side": "left", "steps": 3, "points": [1.0, 2.5]}
+            assert {
+                f"wombat-1/drive/{name}": value for name, value in values.items()
+            }.items() <= shown.parameters.items()
+            other.until_parameter("wombat-1/drive/kp", lambda value: value == 1.0)
+            shown.set_parameter("wombat-1/drive/kp", 2)
+            other.until_parameter("wombat-1/drive/kp", lambda value: value == 2.0)
+            assert drive.kp == 2.0
+            # Several at once are one change.
+            shown._send(
+                op="setParameters",
+                parameters=[
+                    {"name": "wombat-1/drive/side", "value": "right"},
+                    {"name": "wombat-1/drive/kp", "value": 11},
+                ],
+                id="set",
+            )
+            shown.until_status("kp cannot be 11: the maximum is 10")
+            assert (drive.kp, drive.side) == (2.0, "left")
+            shown.set_parameter("wombat-1/drive/points", [3, 4.5])
+            other.until_parameter("wombat-1/drive/points", lambda value: value == [3.0, 4.5])
+            # Changes of the program itself arrive without a question.
+            other.until_parameter("wombat-1/drive/steps", lambda value: value == 3)
+            drive.steps = 5
+            while other.parameters["wombat-1/drive/steps"] != 5:
+                other._receive()
+            for name, value, problem in [
+                ("wombat-1/driv/kp", 1, "did you mean drive?"),
+                ("wombat-1/drive/kq", 1, "no parameter"),
+                ("wombat-1/drive/kp", {"a": 1}, "an object cannot be a value"),
+                ("nothing", 1, "rect connect"),
+            ]:
+                shown.set_parameter(name, value)
+                shown.until_status(problem)
+        with serving(routers) as address, viewer(address) as shown:
+            shown.until_parameter("wombat-1/drive/kp", lambda value: value == 2.0)
+            shown.set_parameter("wombat-1/drive/kp", 3)
+            shown.until_status("start `rect foxglove` with --publish to permit it")
+            assert drive.kp == 2.0
+        with serving(routers, "--publish", "wombat-2/**") as address, viewer(address) as shown:
+            shown.set_parameter("wombat-1/drive/kp", 3)
+            shown.until_status("there is no parameter wombat-1/drive/kp")
+            assert drive.kp == 2.0
+
+
+def until_all(shown: Viewer, name: str, expected: object) -> None:
+    """Asks for all parameters until one has a value: its program may not be known yet."""
+    while shown.parameters.get(name) != expected:
+        shown._send(op="getParameters", parameterNames=[], id="all")
+        shown._receive()
+
+
+def test_groups_of_parameters_are_not_services(routers: Routers) -> None:
+    with routers.connect("wombat-1") as robot:
+        robot.parameters("drive", rect.GroupOptions(file=False), kp=1.0)
+        with (
+            robot.serve("double", lambda request: request.value * 2),
+            serving(routers, "--service", "*/**") as address,
+            viewer(address) as shown,
+        ):
+            while "/wombat-1/double" not in shown.services:
+                shown._receive()
+            assert not any("parameters" in service for service in shown.services)
+
+
 def test_stalled_viewer_does_not_delay_another(routers: Routers) -> None:
     # Together more than the kernel's buffers and those of the stalled viewer hold.
     large = rect.Payload(JPEG + bytes(500_000), "image/jpeg")

@@ -1,10 +1,13 @@
 //! Implements `rect param import`.
-use std::{collections::BTreeMap, path::PathBuf, process::ExitCode};
+use std::{collections::BTreeMap, path::PathBuf, process::ExitCode, sync::Arc};
 
 use clap::Args;
 use rect::{Error, Name, ParameterOrder, ParameterValue, Robot};
 use rect_terminal::{paint, Style};
-use tokio::sync::mpsc::{self, UnboundedSender};
+use tokio::sync::{
+    mpsc::{self, UnboundedSender},
+    Semaphore,
+};
 
 use super::{
     change,
@@ -16,6 +19,9 @@ use crate::{
     session::{name, JoinArguments},
     Done,
 };
+
+/// Number of groups of a robot that are set at the same time.
+const MAX_CONCURRENT: usize = 16;
 
 /// Set the parameters of a profile, which `rect param export` has written
 ///
@@ -43,7 +49,7 @@ pub struct ImportArguments {
     join: JoinArguments,
 }
 
-/// What to set in a group.
+/// A group, and the values that it gets.
 struct Part {
     place: GroupPlace,
     values: Values,
@@ -178,11 +184,15 @@ async fn set_all(
             return;
         }
     };
+    let places = Arc::new(Semaphore::new(MAX_CONCURRENT));
     for part in parts {
+        // The semaphore is never closed.
+        let place = places.clone().acquire_owned().await;
         let group = groups.remove(&part.place.group);
         let (own, outcomes) = (own.clone(), outcomes.clone());
         tokio::spawn(async move {
             let outcome = part.set(&own, group).await;
+            drop(place);
             // It fails if the command ends.
             let _ = outcomes.send((part.place, outcome));
         });

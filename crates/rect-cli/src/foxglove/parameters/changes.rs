@@ -19,7 +19,7 @@ use super::value;
 
 /// Number of changes of a group that wait at most.
 const WAITING: usize = 64;
-/// Number of groups that viewers change at most.
+/// Number of groups with a queue at most. Beyond that, the empty ones are removed.
 const MAX_GROUPS: usize = 256;
 
 /// A change of some parameters of a group.
@@ -73,6 +73,9 @@ impl Changes {
     fn enqueue(&self, waiting: Waiting) -> Result<(), &'static str> {
         let mut queues = self.queues.lock().unwrap_or_else(PoisonError::into_inner);
         let key = (waiting.change.robot.clone(), waiting.change.group.clone());
+        if queues.len() >= MAX_GROUPS {
+            queues.retain(|_, queue| queue.capacity() < queue.max_capacity());
+        }
         if queues.len() >= MAX_GROUPS && !queues.contains_key(&key) {
             return Err("viewers have changed too many groups");
         }
