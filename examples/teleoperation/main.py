@@ -5,8 +5,10 @@ python examples/teleoperation/main.py laptop wombat-1      # sends commands
 """
 
 import contextlib
+import functools
 import math
 import sys
+import threading
 import time
 
 import rect
@@ -26,13 +28,11 @@ def drive(robot: rect.Robot, other: str) -> None:
 
 
 def follow(robot: rect.Robot) -> None:
-    commands = robot.subscribe("*/drive")
-    while True:
-        try:
-            message = commands.next(timeout=0.5)
-            print(f"{message.sender}: {message.value}", flush=True)
-        except rect.TimedOut:
-            print("no commands, stopping", flush=True)
+    def execute(message: rect.Message) -> None:
+        print(f"{message.sender}: {message.value}", flush=True)
+
+    robot.deadman("*/drive", execute, within=0.5, on_lost=functools.partial(print, "stopping:", flush=True))
+    threading.Event().wait()
 
 
 if __name__ == "__main__":

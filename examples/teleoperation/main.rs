@@ -51,13 +51,11 @@ async fn drive(robot: &rect::Robot, recipient: &str) -> Result<(), rect::Error> 
 }
 
 async fn follow(robot: &rect::Robot) -> Result<(), rect::Error> {
-    let commands = robot.subscribe::<Drive>("*/drive").await?;
-    loop {
-        let next = tokio::time::timeout(Duration::from_millis(500), commands.next()).await;
-        match next {
-            Ok(Some(message)) => println!("{}: {:?}", message.sender, message.value?),
-            Ok(None) => return Ok(()),
-            Err(_) => println!("no commands, stopping: {STOP:?}"),
-        }
-    }
+    let within = Duration::from_millis(500);
+    let execute = |command: Drive| println!("{command:?}");
+    let stop = |reason: &str| println!("stopping: {reason}");
+    let _switch = robot
+        .deadman::<Drive>("*/drive", within, execute, stop)
+        .await?;
+    std::future::pending().await
 }

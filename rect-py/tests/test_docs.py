@@ -116,10 +116,10 @@ def test_rescue(endpoint: str, tmp_path: Path) -> None:
 
 def test_teleoperation(endpoint: str, tmp_path: Path) -> None:
     with Example("teleoperation", "wombat-1", folder=tmp_path) as one:
-        one.tool.until("no commands, stopping")
+        one.tool.until("stopping: ")
         with Example("teleoperation", "laptop", "wombat-1", folder=tmp_path):
             assert "'left':" in one.tool.until("laptop: ")
-        one.tool.until("no commands, stopping")
+        one.tool.until("stopping: ")
 
 
 def test_camera(endpoint: str, tmp_path: Path) -> None:

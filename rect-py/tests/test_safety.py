@@ -433,10 +433,10 @@ with rect.connect("laptop", endpoints=[sys.argv[1]]) as robot:
 """
 
 
-@pytest.mark.parametrize("busy", [0, 1, 4])
+@pytest.mark.parametrize("busy", [0, 1])
 def test_motors_are_off_in_time_beside_threads_that_compute(busy: int) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    runs, within = 30, 0.1
+    runs, within = 40, WITHIN
     late: list[float] = []
     ends = threading.Event()
 
@@ -465,10 +465,11 @@ def test_motors_are_off_in_time_beside_threads_that_compute(busy: int) -> None:
             finally:
                 ends.set()
                 stick.kill()
-    late.sort()
-    median, most = (f"{seconds * 1000:.1f} ms" for seconds in (late[runs // 2], late[-1]))
+    # The first message of a program takes longer.
+    late = sorted(late[1:])
+    median, most = (f"{seconds * 1000:.1f} ms" for seconds in (late[len(late) // 2], late[-1]))
     print(f"\n{busy} threads compute: off {median} (median), {most} (most) after sending and {within} s")
-    assert late[runs // 2] < LATE_UNDER_LOAD
+    assert late[len(late) // 2] < LATE_UNDER_LOAD
 
 
 def test_program_that_restarts_during_a_stop_is_stopped_before_its_first_command(safety_routers: Routers) -> None:
@@ -513,7 +514,8 @@ with rect.connect("wombat-2", router=sys.argv[1], program="driver") as robot:
         with safety_routers.connect("wombat-2", program="driver") as robot, following(robot, 60) as (motors, switch):
             own = robot.fleet_stop()
             until_stopped(own, False)
-            time.sleep(0.2)
+            # The program has learned of the stop if it was faster than the release.
+            base.publish("drive", [0.0, 0.0])
             motors.until("drive [0.5, 0.5]")
             assert switch.is_following
 
