@@ -24,6 +24,7 @@ mod request;
 mod retained;
 mod router;
 mod session;
+mod stop;
 mod stream;
 mod subscribe;
 mod survey;
@@ -53,6 +54,7 @@ Examples on a robot with a router (`sudo rect init wombat-1 --start` configures 
   rect send wombat-2 grab '{\"force\": 3}'   # sends to one robot only
   rect stream watch wombat-2/camera        # receives a stream of pictures
   rect param set wombat-2/drive kp=2.0     # changes a parameter of a program that runs
+  rect stop                                # stops all robots until somebody releases the stop
   rect transfer send wombat-2 map.bin      # sends a file of any size
   rect record                              # records this robot's messages; `rect replay` plays them
   rect connect base tcp 10.0.0.2 --port 7447  # adds a named connection
@@ -93,6 +95,7 @@ enum Command {
     Program(program::ProgramArguments),
     Service(program::ServiceArguments),
     Param(parameter::ParamArguments),
+    Stop(stop::StopArguments),
     Transfer(transfer::TransferArguments),
     Record(record::RecordArguments),
     Replay(replay::ReplayArguments),
@@ -156,6 +159,7 @@ fn main() -> ExitCode {
         Command::Program(arguments) => wait_on_one_thread(program::programs(arguments)),
         Command::Service(arguments) => wait_on_one_thread(program::services(arguments)),
         Command::Param(arguments) => wait_on_one_thread(parameter::run(arguments)),
+        Command::Stop(arguments) => wait_on_one_thread(stop::run(arguments)),
         Command::Transfer(arguments) => wait(transfer::run(arguments)),
         Command::Record(arguments) => record::run(arguments),
         Command::Replay(arguments) => wait(replay::run(arguments)),

@@ -4,4 +4,5 @@ mod pair;
 mod parameter;
 mod program;
 mod recording;
+mod stop;
 mod tool;

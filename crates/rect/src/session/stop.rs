@@ -157,11 +157,14 @@ impl Shared {
     /// Publishes what this program knows: at once, and then on the disk of the robot, which takes longer.
     async fn publish(&self) -> Result<(), Error> {
         let urgent = self.robot.urgent();
-        for retained in [urgent.retained(), urgent.retained_on_disk()] {
-            let message = lock(&self.known).message();
-            retained.publish(TOPIC, message).await?;
+        let message = lock(&self.known).message();
+        urgent.retained().publish(TOPIC, message).await?;
+        if self.robot.inner.direct {
+            // A program without a router keeps nothing on disk.
+            return Ok(());
         }
-        Ok(())
+        let message = lock(&self.known).message();
+        urgent.retained_on_disk().publish(TOPIC, message).await
     }
 }
 
