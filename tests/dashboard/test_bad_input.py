@@ -352,6 +352,8 @@ def test_read_only_page_changes_nothing_except_that_it_stops(page: Page, fleet: 
         with socket_of(url) as connection:
             assert "--read-only" in command(connection, type="release_stop", id=1)["error"]
         with socket_of(dashboard) as connection:
+            while state(connection, "stop")["stop"] is None:
+                pass
             assert command(connection, type="release_stop", id=1)["error"] is None
         expect(area).to_be_hidden()
 

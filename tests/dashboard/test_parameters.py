@@ -169,7 +169,7 @@ def test_a_refusal_shows_the_reason_and_the_value_in_force(page: Page, fleet: Fl
 
         open_view(page, dashboard)
         row(page, "turbo").get_by_role("switch").click()
-        expect(row(page, "turbo")).to_contain_text("the turbo overheats")
+        expect(row(page, "turbo").get_by_role("status")).to_have_text("the turbo overheats")
         expect(row(page, "turbo").get_by_role("switch")).not_to_be_checked()
         row(page, "kp").get_by_role("spinbutton").fill("11")
         page.keyboard.press("Enter")

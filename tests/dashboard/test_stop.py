@@ -61,7 +61,7 @@ def test_each_robot_is_listed_by_its_answer_in_all_browsers(page: Page, fleet: F
             for number in (2, 3, 4):
                 expect(robot(browser, number)).to_contain_text(re.compile(r"✓ wombat-\d has confirmed after \d"))
             expect(robot(browser, 5)).to_contain_text("- wombat-5 takes no part in stops: no program of it listens")
-            expect(area(browser)).to_contain_text("The fleet is stopped: 3 of 3 robots have confirmed")
+            expect(area(browser)).to_contain_text("The fleet is stopped: confirmed by 3 of 3")
             expect(area(browser)).to_contain_text(re.compile(r"since \d\d:\d\d:\d\d by wombat-1: dashboard"))
         release(other)
         expect(area(page)).to_be_hidden()
@@ -95,7 +95,7 @@ def test_stop_remains_after_reload_and_restart_and_reaches_robots_that_return(
             try:
                 expect(robot(page, 2)).to_contain_text("✗ wombat-2 cannot be reached")
                 page.get_by_role("button", name="STOP").click()
-                expect(area(page)).to_contain_text(f"0 of {ROBOTS - 1} robots have confirmed")
+                expect(area(page)).to_contain_text(f"confirmed by 0 of {ROBOTS - 1}")
             finally:
                 fleet.room.restore()
             expect(robot(page, 2)).to_contain_text("✓ wombat-2 has confirmed")

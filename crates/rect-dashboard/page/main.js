@@ -8,7 +8,6 @@ import { events } from "./events.js";
 import { fleet } from "./fleet.js";
 import { bytes } from "./format.js";
 import { Link } from "./link.js";
-import { parameters } from "./parameters.js";
 import { services } from "./services.js";
 import { stopButton } from "./stop.js";
 import { topics } from "./topics.js";
@@ -32,6 +31,22 @@ const notices = document.getElementById("notices");
 let closeView = () => {};
 /** Whether the view was shown for a page that may only look; `undefined` before the first view. */
 let shownReadOnly;
+
+/** Loads the view of parameters once it is opened, so that the page stays small. */
+function parameters(to, parent) {
+  let close = null;
+  let isClosed = false;
+  import("./parameters.js").then(
+    (view) => {
+      close = isClosed ? null : view.parameters(to, parent);
+    },
+    () => parent.append(h("p", { class: "empty" }, "The view cannot be loaded: is the dashboard still running?")),
+  );
+  return () => {
+    isClosed = true;
+    close?.();
+  };
+}
 
 /** Shows a message for some seconds. */
 function notify(text, isError = false) {

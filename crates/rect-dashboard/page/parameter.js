@@ -5,8 +5,11 @@ import { h } from "./dom.js";
 /** The number of steps of a slider, at least. */
 const STEPS = 200;
 
-/** Returns a value as a text, and lists as people write them. */
+/** Returns a value as a text, as people write it. */
 export function textOf(value) {
+  if (typeof value === "boolean") {
+    return value ? "on" : "off";
+  }
   return Array.isArray(value) ? value.join(", ") || "empty" : String(value);
 }
 

@@ -141,10 +141,11 @@ function row(group, parameter, isReadOnly) {
       { class: "what" },
       h("strong", {}, visible(name)),
       unit ? h("span", { class: "about" }, ` ${visible(unit)}`) : null,
+      mark,
       about ? h("p", { class: "about" }, visible(about)) : null,
     ),
     h("div", { class: "control" }, value ?? input.elements),
-    h("div", { class: "standard" }, h("span", { class: "about" }, fixed), isFixed ? null : reset, mark),
+    h("div", { class: "standard" }, h("span", { class: "about" }, fixed), isFixed ? null : reset),
     problem,
   );
   return {

@@ -114,7 +114,7 @@ function headlineText({ is_sent: isSent, robots }) {
   }
   return parts.length === 0
     ? "The fleet is stopped, but no other robot takes part"
-    : `The fleet is stopped: ${confirmed.length} of ${parts.length} robots have confirmed`;
+    : `The fleet is stopped: confirmed by ${confirmed.length} of ${parts.length}`;
 }
 
 function pressedText({ by, reason, at_ms: at }) {

@@ -1,7 +1,7 @@
 //! Executes the commands of the page that are answered: publish, request, connections, check, parameters, stop and record.
 use std::time::{Duration, Instant};
 
-use rect::{Name, NamedConnection, ParameterOrder, Payload, Topic};
+use rect::{Error, Name, NamedConnection, ParameterOrder, Payload, Topic};
 use rect_core::message::payload;
 use rect_recording::view;
 use serde_json::{json, Value};
@@ -88,8 +88,14 @@ pub async fn execute(app: &App, command: Command, access: Access, user: Option<&
                 (false, false) => return Err("set parameters or reset them, not both".to_owned()),
             };
             let setting = app.robot.with_timeout(TIMEOUT);
-            let in_force = setting.set_parameters(robot.as_str(), &group, order).await;
-            in_force.map(|values| json!(values)).map_err(text)
+            match setting.set_parameters(robot.as_str(), &group, order).await {
+                Ok(in_force) => Ok(json!(in_force)),
+                // The page shows it at the parameter.
+                Err(Error::Service { payload, .. }) => {
+                    Err(String::from_utf8_lossy(&payload.bytes).into_owned())
+                }
+                Err(error) => Err(text(error)),
+            }
         }
         Command::Stop { .. } => {
             let by = user.unwrap_or("dashboard");
