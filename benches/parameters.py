@@ -195,20 +195,20 @@ def measured(peer: Peer) -> list[str]:
     # The laptop sets a value that does not arrive, and the robot's program goes on.
     peer.shaper.state = "off"
     time.sleep(1)
-    told = threading.Event()
+    answered = threading.Event()
     learned = []
 
     def set_during_cut() -> None:
         learned.append(peer.set(700.0))
-        told.set()
+        answered.set()
 
     threading.Thread(target=set_during_cut, daemon=True).start()
     time.sleep(CUT_S)
     peer.shaper.state = "on"
-    told.wait(20)
+    answered.wait(20)
     time.sleep(5)
     came = "came later" if peer.program.value == 700.0 else "did not come"
-    return [quantiles(alone), quantiles(beside), f"{idle:,}", restarted, f"{came}; told: {learned[0]}", invalid]
+    return [quantiles(alone), quantiles(beside), f"{idle:,}", restarted, f"{came}; {learned[0]}", invalid]
 
 
 def quantiles(times: list[float | None]) -> str:
@@ -231,6 +231,6 @@ def run() -> Table:
         f"Slider: {CHANGES} values, one every {EVERY_S:.1f} s, from the laptop's call until the program's callback: "
         "p50, p99. Beside a transfer of 1 MB from the laptop to the robot. Idle bytes: what the link carries in "
         f"{IDLE_S:.0f} s, with its keep-alives. The cut ends the connections for {CUT_S:.0f} s, and the laptop sets a "
-        "value meanwhile. What the laptop learns is the answer of its library.",
+        "value meanwhile: whether it arrives later, and how its library answers.",
     ]
     return table

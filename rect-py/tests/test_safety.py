@@ -122,7 +122,7 @@ def test_robot_of_the_commander_is_gone(pair: Pair) -> None:
         one.publish("drive", 0.5)
         motors.until("drive 0.5")
         one.close()
-        motors.until("lost: wombat-1 is gone")
+        motors.until("lost: wombat-1 cannot be reached")
         assert not switch.is_following
 
 

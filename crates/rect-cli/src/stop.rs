@@ -108,7 +108,7 @@ async fn show(robot: &Robot, stop: &FleetStop, within: Duration) -> Result<bool,
     Ok(is_confirmed)
 }
 
-/// Returns whether the program of a robot has ended that took part. A subscription is not told of that.
+/// Returns whether the program of a robot has ended that took part. A subscription does not report that.
 async fn has_ended(robot: &Robot, other: &Name) -> Result<bool, Failure> {
     let latest = robot.latest::<Payload>(other, TOPIC).await?;
     let retained = latest.and_then(|message| message.retained);

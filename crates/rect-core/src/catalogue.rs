@@ -39,7 +39,7 @@ pub struct ServiceEntry {
     /// Whether other programs of the robot may serve the same topic. Then each of them answers.
     #[serde(skip_serializing_if = "is_false")]
     pub several: bool,
-    /// The parameters that are changed there, if it is no ordinary service.
+    /// The parameters that are changed there, if it is not an ordinary service.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub parameters: Option<Declaration>,
 }

@@ -1,6 +1,6 @@
 //! A dead man's switch: decides whether a robot follows the commands of its commander, and when it has lost them.
 //!
-//! It is lost before the first command, when none arrives for some time, when the commander is gone, and while the fleet is
+//! It is lost before the first command, when none arrives for some time, when the commander cannot be reached, and while the fleet is
 //! [stopped](crate::stop). After a stop, commands count only once a neutral one has arrived: the release alone moves nothing, and a stick
 //! that somebody still holds does not either.
 use std::time::{Duration, Instant};
@@ -30,7 +30,7 @@ pub struct Deadman {
     commander: Option<Name>,
     is_stopped: bool,
     needs_neutral: bool,
-    /// Why the commander was lost, if the program has not been told.
+    /// Why the commander was lost, until the program is notified.
     lost: Option<String>,
 }
 
@@ -78,7 +78,7 @@ impl Deadman {
     /// Handles that a robot cannot be reached any more.
     pub fn on_gone(&mut self, robot: &Name) {
         if self.commander.as_ref() == Some(robot) {
-            self.lose(|| format!("{robot} is gone"));
+            self.lose(|| format!("{robot} cannot be reached"));
         }
     }
 
@@ -242,7 +242,10 @@ mod tests {
         switch.on_gone(&Name::new("base").expect("valid"));
         assert_eq!(switch.poll(start), None);
         switch.on_gone(&Name::new("laptop").expect("valid"));
-        assert_eq!(switch.poll(start).as_deref(), Some("laptop is gone"));
+        assert_eq!(
+            switch.poll(start).as_deref(),
+            Some("laptop cannot be reached")
+        );
         switch.on_gone(&Name::new("laptop").expect("valid"));
         assert_eq!(switch.poll(start), None);
     }

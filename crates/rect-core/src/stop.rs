@@ -38,7 +38,7 @@ pub struct Stop {
     /// Up to which of these stops are released.
     #[serde(default)]
     released: u32,
-    /// Who pressed it: `<robot>/<program>`.
+    /// The program that pressed it: `<robot>/<program>`.
     #[serde(default)]
     pub by: String,
     /// Why, in that program's words; empty if it did not say.
@@ -49,9 +49,9 @@ pub struct Stop {
     pub at_ms: u64,
 }
 
-/// What a robot knows of stops.
+/// The stops that a robot knows.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-struct Known {
+struct StopState {
     stops: Vec<Stop>,
 }
 
@@ -71,7 +71,7 @@ pub struct FleetStop {
 /// The stops that a robot knows.
 #[derive(Debug)]
 struct Report {
-    known: Known,
+    known: StopState,
     /// Whether the program that reported them has ended.
     has_ended: bool,
     is_reachable: bool,
@@ -200,7 +200,7 @@ impl FleetStop {
                 payload.bytes.len()
             ));
         }
-        let known: Known = payload.value().map_err(|error| error.to_string())?;
+        let known: StopState = payload.value().map_err(|error| error.to_string())?;
         if known.stops.len() > MAX_RUNS {
             return Err(format!("more than {MAX_RUNS} programs"));
         }
@@ -221,7 +221,7 @@ impl FleetStop {
         self.limit();
         if self.robots.len() < MAX_ROBOTS || self.robots.contains_key(robot) {
             let report = Report {
-                known: Known { stops },
+                known: StopState { stops },
                 has_ended,
                 is_reachable: true,
             };
@@ -251,7 +251,7 @@ impl FleetStop {
     pub fn message(&self) -> Payload {
         let stops = self.stops.values().cloned().collect();
         // Numbers and texts can always be serialized.
-        let payload = Cbor(Known { stops }).to_payload();
+        let payload = Cbor(StopState { stops }).to_payload();
         payload.unwrap_or_else(|_| Payload::new("", Encoding::CBOR))
     }
 
@@ -321,8 +321,8 @@ mod tests {
 
     /// Passes on what one knows. Returns whether that was new.
     fn tell(from: &FleetStop, to: &mut FleetStop) -> bool {
-        let told = to.on_message(&from.robot, &from.message(), false);
-        told.expect("a message")
+        let learned = to.on_message(&from.robot, &from.message(), false);
+        learned.expect("a message")
     }
 
     #[test]
@@ -386,7 +386,7 @@ mod tests {
     #[test]
     fn a_stop_cannot_be_released_before_it_is_pressed() {
         let [mut laptop, mut robot] = fleet(["laptop", "robot"]);
-        let forged = Known {
+        let forged = StopState {
             stops: vec![Stop {
                 run: 1,
                 number: u32::MAX,
@@ -425,7 +425,7 @@ mod tests {
                 at_ms: run.into(),
             });
             let stops = stops.collect();
-            Cbor(Known { stops }).to_payload().expect("valid")
+            Cbor(StopState { stops }).to_payload().expect("valid")
         };
         let evil = name("evil");
         for wrong in [
@@ -441,7 +441,7 @@ mod tests {
             (robot.pressed().len(), robot.pressed()[0].by.len()),
             (64, 80)
         );
-        // What is released makes room for a stop.
+        // A stop that is released makes room for a stop.
         robot.release();
         robot.press("", 1000);
         assert!(robot.is_stopped() && robot.stops.len() == 64);

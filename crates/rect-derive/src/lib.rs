@@ -79,7 +79,7 @@ fn implementation(input: &DeriveInput) -> Result<Tokens> {
     })
 }
 
-/// What the attribute of a field states.
+/// The contents of the attribute of a field.
 #[derive(Default)]
 struct Stated {
     default: Option<Expr>,

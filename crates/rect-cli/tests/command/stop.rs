@@ -40,7 +40,7 @@ fn a_stop_holds_until_it_is_released() {
     assert_eq!(printed(&endpoint, &["the table edge"]), pressed);
     until(|| stop.is_stopped());
     assert_eq!(stop.pressed()[0].reason, "the table edge");
-    // Later commands know it, and it is there as often as it was pressed by another program.
+    // Later commands know it. A stop that another program presses is a further one.
     assert_eq!(printed(&endpoint, &["--list"]), pressed);
     assert_eq!(printed(&endpoint, &["smoke"]).lines().count(), 2);
     until(|| stop.pressed().len() == 2);

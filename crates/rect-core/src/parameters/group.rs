@@ -53,7 +53,7 @@ pub struct Proposal {
 pub struct Change {
     /// The parameters that have another value now.
     pub changed: Vec<Changed>,
-    /// Who changed them, `<robot>/<program>`; empty if it was the program itself.
+    /// The program that changed them, `<robot>/<program>`; empty if it was the program itself.
     pub by: String,
 }
 

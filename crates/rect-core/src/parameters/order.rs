@@ -79,7 +79,7 @@ pub struct Snapshot {
     /// The parameters that the last change has changed; empty when the program has just started.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub changed: Vec<String>,
-    /// Who made the last change, `<robot>/<program>`; empty if it was the program itself.
+    /// The program that made the last change, `<robot>/<program>`; empty if it was the program itself.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub by: String,
 }

@@ -218,7 +218,7 @@ fn a_file_that_does_not_fit_costs_only_what_does_not_fit() {
     assert_eq!(warnings.len(), 4);
     let values = ["kp", "side", "turbo", "serial"].map(|name| value(&group, name));
     assert_eq!(values, ["3", "\"left\"", "false", "9"]);
-    // What the program does not know, and what does not fit, remains until it is changed.
+    // Values that the program does not know, and those that do not fit, remain until they are changed.
     change(&mut group, set(&[("kp", 1.0)]), now).expect("valid");
     assert_eq!(save(&mut group, now), None);
     let text = fs::read_to_string(&path).expect("written");
@@ -258,7 +258,7 @@ fn an_edit_while_the_program_runs_remains_in_the_file() {
     change(&mut group, set(&[("turbo", true)]), now).expect("valid");
     let warning = save(&mut group, now).expect("a warning");
     assert!(warning.contains("kp, side there"), "{warning}");
-    // It is said once, and later changes keep the edit as well.
+    // It is reported once, and later changes keep the edit as well.
     change(&mut group, set(&[("turbo", false)]), now).expect("valid");
     assert_eq!(save(&mut group, now), None);
     let (next, _) = self::group(&path);

@@ -109,11 +109,25 @@ async fn follow(shared: Weak<Shared>, messages: Subscriber<Payload>, events: Eve
                 match event {
                     Event::PeerDown { robot } => lock(&shared.known).on_gone(&robot),
                     Event::PeerUp { robot } => lock(&shared.known).on_returned(&robot),
+                    // It may be the one that takes part, which only the router of the robot knows.
+                    Event::ProgramDown { robot, .. } => {
+                        let runtime = shared.robot.inner.runtime.clone();
+                        runtime.spawn(ask_again(Arc::downgrade(&shared), shared.robot.clone(), robot));
+                        continue;
+                    }
                     _ => continue,
                 }
                 shared.changes.send_replace(());
             }
         }
+    }
+}
+
+/// Asks a robot for its state, in which its router marks that the program has ended.
+async fn ask_again(shared: Weak<Shared>, robot: Robot, other: Name) {
+    let latest = robot.latest::<Payload>(other, TOPIC).await;
+    if let (Ok(Some(message)), Some(shared)) = (latest, shared.upgrade()) {
+        shared.on_message(&message);
     }
 }
 
@@ -147,7 +161,7 @@ impl Shared {
             Ok(true) => self.publish.notify_one(),
             Ok(false) => {}
             Err(problem) => warn(&format!(
-                "{} sends something on {TOPIC} that is no stop: {problem}",
+                "{} sends something on {TOPIC} that is not a stop: {problem}",
                 message.sender
             )),
         }

@@ -31,8 +31,8 @@ fn kept_in(folder: &tempfile::TempDir) -> GroupOptions<Drive> {
 async fn another_robot_sees_the_declaration_sets_values_and_sees_them() {
     let (a, b) = pair("a", "b").await;
     let folder = tempfile::tempdir().expect("a folder");
-    let told: Arc<Mutex<Vec<String>>> = Arc::default();
-    let telling = told.clone();
+    let notified: Arc<Mutex<Vec<String>>> = Arc::default();
+    let telling = notified.clone();
     let options = kept_in(&folder)
         .about("how it drives")
         .check(|drive| match drive.turbo && drive.kp > 5.0 {
@@ -70,7 +70,7 @@ async fn another_robot_sees_the_declaration_sets_values_and_sees_them() {
         .expect("set");
     assert_eq!(set["kp"], ParameterValue::Number(2.0));
     assert_eq!((drive.get().kp, drive.get().side.as_str()), (2.0, "right"));
-    assert_eq!(*told.lock().expect("not poisoned"), ["kp,side 2 by b"]);
+    assert_eq!(*notified.lock().expect("not poisoned"), ["kp,side 2 by b"]);
     let text = fs::read_to_string(folder.path().join("drive.json")).expect("stored");
     assert!(text.contains("\"kp\": 2.0"), "{text}");
     loop {
@@ -165,7 +165,7 @@ async fn a_program_of_stock_zenoh_sets_and_reads_parameters() {
     assert_eq!(outcome, "error");
     let reason = String::from_utf8(reason).expect("text");
     assert!(reason.contains("kp cannot be \"fast\""), "{reason}");
-    // Without a file, whoever asks is told that nothing is stored.
+    // Without a file, the requester learns that nothing is stored.
     let order = ParameterOrder::set([("kp", 3.0)]).stored();
     let stored = robot
         .set_parameters("a", "drive", order)

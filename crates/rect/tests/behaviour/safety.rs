@@ -9,7 +9,7 @@ use tokio::time::{sleep, timeout};
 
 use crate::pair::{pair, TIMEOUT};
 
-/// What a robot has done: commands, and why it has lost its commander.
+/// The history of a robot: commands, and why it has lost its commander.
 #[derive(Clone, Default)]
 struct Motors(Arc<Mutex<Vec<String>>>);
 
@@ -59,7 +59,7 @@ async fn a_robot_follows_while_commands_arrive() {
     let motors = Motors::default();
     let switch = motors.following(&robot, 200).await;
     motors.until("lost: no command has arrived yet").await;
-    // A retained message is no sign of life.
+    // A retained message is not a sign of life.
     laptop
         .retained()
         .publish("drive", Json(9.0))

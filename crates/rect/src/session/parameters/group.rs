@@ -64,10 +64,10 @@ struct Shared<T> {
     stored: watch::Sender<()>,
 }
 
-/// The changes of which the program has not been told.
+/// The changes of which the program has not been notified.
 struct Changes<T> {
     waiting: VecDeque<(Arc<T>, Change)>,
-    is_telling: bool,
+    is_notifying: bool,
 }
 
 impl Robot {
@@ -128,7 +128,7 @@ impl Robot {
             saving: Mutex::default(),
             changes: Mutex::new(Changes {
                 waiting: VecDeque::new(),
-                is_telling: false,
+                is_notifying: false,
             }),
             read: options.read,
             check: options.check,
@@ -202,7 +202,7 @@ impl<T: Send + Sync + 'static> Shared<T> {
         let declaration = lock(&self.group).declaration().clone();
         let proposed = Arc::new((self.read)(&declaration, &proposal.values));
         if let Some(check) = &self.check {
-            // Whoever set them gets an error, and the group goes on.
+            // The requester gets an error, and the group goes on.
             let checked = catch_unwind(AssertUnwindSafe(|| check(&proposed)));
             checked.unwrap_or_else(|_| Err("the check of the program failed".to_owned()))?;
         }
@@ -220,27 +220,27 @@ impl<T: Send + Sync + 'static> Shared<T> {
             self.wake.notify_one();
         }
         drop(turn);
-        self.tell();
+        self.notify();
         Ok(reply)
     }
 
-    /// Tells the program of changes, unless that is being done: `on_change` may change parameters itself.
-    fn tell(&self) {
+    /// Reports changes to the program, unless that is being done: `on_change` may change parameters itself.
+    fn notify(&self) {
         let Some(on_change) = &self.on_change else {
             return;
         };
         loop {
             let mut changes = lock(&self.changes);
-            if changes.is_telling {
+            if changes.is_notifying {
                 return;
             }
             let Some((values, change)) = changes.waiting.pop_front() else {
                 return;
             };
-            changes.is_telling = true;
+            changes.is_notifying = true;
             drop(changes);
             call("on_change", || on_change(&values, &change));
-            lock(&self.changes).is_telling = false;
+            lock(&self.changes).is_notifying = false;
         }
     }
 

@@ -25,7 +25,7 @@ use crate::{
 const DECLARED_WITHIN: Duration = Duration::from_secs(1);
 const PAUSE: Duration = Duration::from_millis(100);
 
-/// What to change in a group of parameters, all or nothing. An array of names and values is one: `[("kp", 2.0)]`.
+/// A change of parameters of a group, all or nothing. An array of names and values is one: `[("kp", 2.0)]`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct ParameterOrder(pub(super) Order);
 
