@@ -520,6 +520,17 @@ with rect.connect("wombat-2", router=sys.argv[1], program="driver") as robot:
             assert switch.is_following
 
 
+def test_end_of_the_program_that_takes_part_is_known_to_those_that_do(safety_routers: Routers) -> None:
+    with safety_routers.connect("wombat-1", program="referee") as referee:
+        stop = referee.fleet_stop()
+        with safety_routers.connect("wombat-2", program="mover") as mover:
+            mover.fleet_stop()
+            stop.press("smoke")
+            until(lambda: stop.confirmation("wombat-2") == "confirmed")
+        until(lambda: stop.confirmation("wombat-2") == "ended", lambda: stop.confirmation("wombat-2"))
+        stop.release()
+
+
 def test_stop_survives_a_restart_of_the_robot(safety_routers: Routers) -> None:
     with safety_routers.connect("wombat-2") as robot:
         stop = robot.fleet_stop()

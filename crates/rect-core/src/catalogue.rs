@@ -11,7 +11,10 @@ pub mod token;
 
 use serde::{Deserialize, Serialize};
 
-pub use crate::name::{instance::Instance, key::CATALOGUE};
+pub use crate::{
+    name::{instance::Instance, key::CATALOGUE},
+    parameters::MAX_ABOUT,
+};
 use crate::{
     name::{topic::Topic, Name},
     parameters::Declaration,
@@ -23,8 +26,6 @@ pub const REGISTER: &str = "@set/program";
 pub const MAX_PROGRAMS: usize = 64;
 /// The maximum number of services of a program.
 pub const MAX_SERVICES: usize = 256;
-/// The maximum length of a description, in characters. Longer ones are cut.
-pub const MAX_ABOUT: usize = 200;
 /// The maximum size of a catalogue or a registration, in bytes.
 pub const MAX_BYTES: usize = 1 << 20;
 

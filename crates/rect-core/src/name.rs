@@ -1,6 +1,7 @@
 //! Defines the names of robots and fleets.
 pub mod instance;
 pub mod key;
+pub mod parameter;
 pub mod topic;
 
 use std::{fmt, str::FromStr, sync::Arc};

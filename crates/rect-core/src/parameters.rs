@@ -11,17 +11,21 @@ pub mod order;
 #[cfg(test)]
 mod tests;
 pub mod value;
+mod values;
 
 pub use declaration::{Declaration, DeclarationError, Parameter};
-pub use group::{Change, Changed, Group, Values};
+pub use group::{Change, Changed, Group};
 pub use value::Value;
+pub use values::Values;
+
+pub use crate::name::parameter::{is_name, MAX_NAME};
 
 /// The part of a topic that precedes the name of a group.
 pub const TOPIC: &str = "parameters";
 /// The maximum number of parameters in a group.
 pub const MAX_PARAMETERS: usize = 256;
-/// The maximum length of the name of a group or parameter, in characters.
-pub const MAX_NAME: usize = 40;
+/// The maximum length of a description, in characters. Longer ones of services are cut.
+pub const MAX_ABOUT: usize = 200;
 /// The maximum length of a text, in bytes.
 pub const MAX_TEXT: usize = 4 << 10;
 /// The maximum number of elements of a list of numbers.
@@ -38,10 +42,4 @@ pub fn topic(group: &str) -> String {
 pub fn wrong_group(group: &str) -> String {
     let group: String = group.chars().take(MAX_NAME).collect();
     format!("{group:?} cannot be the name of a group: use 1 to {MAX_NAME} letters, digits, `_`, `-` and `.`")
-}
-
-/// Returns whether a text may name a group or a parameter: letters, digits, `_`, `-` and `.`, at most [`MAX_NAME`].
-pub fn is_name(text: &str) -> bool {
-    let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
-    (1..=MAX_NAME).contains(&text.len()) && text.chars().all(allowed) && !matches!(text, "." | "..")
 }

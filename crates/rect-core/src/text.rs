@@ -1,3 +1,4 @@
-//! Contains texts for people: texts of others that are safe to print, and formats of sizes, durations and reasons.
+//! Contains texts for people: texts of others that are safe to print, and formats of sizes, durations, reasons and lists of names.
 pub mod display;
 pub mod humanize;
+pub mod names;

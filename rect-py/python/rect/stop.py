@@ -153,8 +153,11 @@ class StopExecutor:
         self.core = _rect.FleetStop(session.key_space.robot, session.program.name, session.program.instance)
         self._lock = threading.Lock()
         self._all_changes: weakref.WeakSet[StopChanges] = weakref.WeakSet()
-        #: Wakes the thread that publishes.
+        #: Wakes the thread that publishes and asks.
         self._wake = threading.Event()
+        self._publishes = True
+        #: Robots of which a program has ended. It may be the one that takes part, which only their routers know.
+        self._asks: set[str] = set()
         self._ended = threading.Event()
         self._last_problem: str | None = None
         observer = _rect.observer(session.key_space, session.program.instance, session.is_direct)
@@ -228,7 +231,12 @@ class StopExecutor:
             changes.queue.push(True)
 
     def _on_event(self, event: tuple[Any, ...]) -> None:
-        if self.core.on_event(event):
+        kind, robot = event[:2]
+        if kind == "program_down":
+            with self._lock:
+                self._asks.add(robot)
+            self._wake.set()
+        elif self.core.on_event(event):
             self._on_change()
 
     def _on_message(self, message: Message[Any]) -> None:
@@ -240,14 +248,18 @@ class StopExecutor:
         if problem is not None:
             self._session.warn(f"{message.sender} sends something on {_TOPIC} that is not a stop: {problem}")
         if is_new:
-            self._wake.set()
+            self._publish_soon()
         self._on_change()
 
     def _publish(self) -> None:
         """Publishes at once what this program knows. If that fails, the thread repeats it."""
         self._on_change()
-        self._wake.set()
+        self._publish_soon()
         self._retain(False)
+
+    def _publish_soon(self) -> None:
+        self._publishes = True
+        self._wake.set()
 
     def _retain(self, disk: bool) -> None:
         self._session.state.retain(_TOPIC, Payload(*self.core.message()), "urgent", disk)
@@ -259,10 +271,13 @@ class StopExecutor:
             if self._ended.is_set():
                 return
             try:
-                self._retain(False)
-                # The disk takes longer. A program without a router has none.
-                if not self._session.is_direct:
-                    self._retain(True)
+                self._ask()
+                if self._publishes:
+                    self._publishes = False
+                    self._retain(False)
+                    # The disk takes longer. A program without a router has none.
+                    if not self._session.is_direct:
+                        self._retain(True)
                 self._last_problem = None
             except Closed:
                 return
@@ -271,7 +286,16 @@ class StopExecutor:
                     self._last_problem = str(error)
                     self._session.warn(self._last_problem)
                 self._ended.wait(_AGAIN_AFTER_S)
-                self._wake.set()
+                self._publish_soon()
+
+    def _ask(self) -> None:
+        """Asks robots for their state, in which their routers mark that a program has ended. Raises `Closed`."""
+        with self._lock:
+            asks, self._asks = self._asks, set()
+        for robot in asks:
+            found = self._session.state.latest(robot, _TOPIC)
+            if found is not None:
+                self._on_message(Message(*found))
 
 
 #: Held while a session begins to take part.

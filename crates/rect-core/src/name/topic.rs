@@ -4,8 +4,8 @@ use std::{fmt, str::FromStr, sync::Arc};
 
 use zenoh_keyexpr::{canon::Canonize, keyexpr};
 
-use super::{Name, NameError};
-use crate::{parameters::is_name, text::display::is_harmful};
+use super::{parameter::is_name, Name, NameError};
+use crate::text::display::is_harmful;
 
 /// The maximum length of a topic, in bytes. The topic is sent with every message whose key is not declared.
 pub const MAX_BYTES: usize = 200;

@@ -1,8 +1,10 @@
 //! Defines the declaration of parameters: their types, defaults and ranges, and which values they accept.
 use serde::{Deserialize, Serialize};
 
-use super::{is_name, Value, MAX_BYTES, MAX_NAME, MAX_NUMBERS, MAX_PARAMETERS, MAX_TEXT};
-use crate::{catalogue::MAX_ABOUT, session::names::in_words, text::display::is_harmful};
+use super::{
+    is_name, Value, MAX_ABOUT, MAX_BYTES, MAX_NAME, MAX_NUMBERS, MAX_PARAMETERS, MAX_TEXT,
+};
+use crate::text::{display::is_harmful, names::in_words};
 
 /// The maximum length of a unit, in characters.
 const MAX_UNIT: usize = 20;

@@ -11,7 +11,7 @@ use serde::{
 };
 use serde_json::{Map, Value as Json};
 
-use super::{group::Values, Declaration, Value, MAX_BYTES};
+use super::{Declaration, Value, Values, MAX_BYTES};
 use crate::storage::ReplacedFile;
 
 /// The maximum size of a file, in bytes.

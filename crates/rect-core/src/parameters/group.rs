@@ -7,7 +7,7 @@ use std::{
 use super::{
     file::ParametersFile,
     order::{to_cbor, InForce, Order, Reset, Snapshot, Stored},
-    Declaration, Parameter, Value, MAX_BYTES,
+    Declaration, Parameter, Value, Values, MAX_BYTES,
 };
 use crate::message::payload::Payload;
 
@@ -17,10 +17,6 @@ const STORE_AFTER: Duration = Duration::from_millis(300);
 const AGAIN_AFTER: Duration = Duration::from_secs(5);
 /// The reason why values are not stored if there is no file for them.
 const NO_FILE: &str = "the program does not keep its parameters in a file";
-
-/// The values of a group, in the order of the declaration.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Values(Vec<Value>);
 
 /// A group of parameters of a program.
 #[derive(Debug)]
@@ -89,37 +85,6 @@ pub struct Saving {
     result: Result<Option<String>, String>,
 }
 
-impl Values {
-    pub(super) fn defaults(declaration: &Declaration) -> Self {
-        let parameters = declaration.parameters().iter();
-        Self(
-            parameters
-                .map(|parameter| parameter.default.clone())
-                .collect(),
-        )
-    }
-
-    /// Returns the values, in the order of the declaration.
-    pub fn iter(&self) -> impl Iterator<Item = &Value> {
-        self.0.iter()
-    }
-
-    /// Returns each parameter with its value.
-    pub fn of<'a>(
-        &'a self,
-        declaration: &'a Declaration,
-    ) -> impl Iterator<Item = (&'a Parameter, &'a Value)> {
-        declaration.parameters().iter().zip(&self.0)
-    }
-
-    pub(super) fn replace(&mut self, declaration: &Declaration, name: &str, value: Value) {
-        let mut parameters = declaration.parameters().iter();
-        if let Some(at) = parameters.position(|parameter| parameter.name == name) {
-            self.0[at] = value;
-        }
-    }
-}
-
 impl Group {
     /// Creates a group with the values of its file. Returns what the program's user should know.
     pub fn new(declaration: Declaration, file: Option<ParametersFile>) -> (Self, Vec<String>) {
@@ -178,9 +143,10 @@ impl Group {
         match &order.reset {
             Reset::All(false) => {}
             Reset::All(true) => {
-                for (at, parameter) in self.declaration.parameters().iter().enumerate() {
+                for parameter in self.declaration.parameters() {
                     if may_change(parameter).is_ok() {
-                        values.0[at] = parameter.default.clone();
+                        let default = parameter.default.clone();
+                        values.replace(&self.declaration, &parameter.name, default);
                     }
                 }
             }

@@ -4,10 +4,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use super::{
-    names::{in_words, reachable_robots},
-    peers::PeersQuery,
-};
+use super::{names::reachable_robots, peers::PeersQuery};
 use crate::{
     driver::{Action, Driver, Event, Get, Id, Reaction, Step, Target},
     name::{
@@ -15,6 +12,7 @@ use crate::{
         topic::{Pattern, RobotTopic},
         Name,
     },
+    text::names::in_words,
 };
 
 /// How long a name may be unknown before the warning: robots and programs are often started at the same time.

@@ -1,7 +1,8 @@
 //! Defines [`Robot`], a program's handle of its session, and publishes messages.
 use std::{
+    any::Any,
     fmt,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{Arc, Mutex, MutexGuard, PoisonError, Weak},
     time::{Duration, Instant, SystemTime},
 };
 
@@ -35,7 +36,6 @@ use super::{
     router_links::RouterLinks,
     shared::NoItems,
     state::{KeptState, Retention, State},
-    stop,
     urgency_sessions::UrgencySessions,
     warnings::{WarningSink, Warnings},
 };
@@ -82,7 +82,8 @@ pub(super) struct Inner {
     pub(super) state: Arc<State>,
     /// The state of the robot; `None` if its router keeps it.
     _kept: Option<KeptState>,
-    pub(super) stop: stop::Existing,
+    /// The part of this program in the stop of the fleet, which is above this module.
+    pub(super) stop: tokio::sync::Mutex<Weak<dyn Any + Send + Sync>>,
     /// The presence of this program.
     pub(super) program: Running<ProgramPresence>,
     /// The presence of the robot; `None` if its router has one.
@@ -140,7 +141,7 @@ impl Robot {
             recipients: OnceCell::new(),
             state,
             _kept: kept,
-            stop: stop::Existing::default(),
+            stop: tokio::sync::Mutex::new(Weak::<()>::new()),
             direct,
             program,
             _presence: presence,

@@ -33,7 +33,7 @@ pub struct FleetStop(Arc<Shared>);
 #[derive(Debug)]
 pub struct StopChanges(watch::Receiver<()>);
 
-pub(super) struct Shared {
+struct Shared {
     robot: Robot,
     known: Mutex<stop::FleetStop>,
     changes: watch::Sender<()>,
@@ -41,9 +41,6 @@ pub(super) struct Shared {
     publish: Arc<Notify>,
     tasks: Mutex<Vec<JoinHandle<()>>>,
 }
-
-/// The stop of this program, if there is one.
-pub(super) type Existing = tokio::sync::Mutex<Weak<Shared>>;
 
 impl Robot {
     /// Takes part in the stop of the fleet: with it, this program stops all robots that take part, learns of a stop, and confirms it.
@@ -68,7 +65,8 @@ impl Robot {
     /// If the future is dropped, this program does not take part.
     pub async fn fleet_stop(&self) -> Result<FleetStop, Error> {
         let mut existing = self.inner.stop.lock().await;
-        if let Some(shared) = existing.upgrade() {
+        let shared = existing.upgrade().map(|shared| shared.downcast::<Shared>());
+        if let Some(Ok(shared)) = shared {
             return Ok(FleetStop(shared));
         }
         let program = self.inner.program.driver().program().clone();
@@ -92,7 +90,8 @@ impl Robot {
         let publish = runtime.spawn(publish(Arc::downgrade(&shared), shared.publish.clone()));
         lock(&shared.tasks).extend([follow, publish]);
         shared.publish.notify_one();
-        *existing = Arc::downgrade(&shared);
+        let weak: Weak<Shared> = Arc::downgrade(&shared);
+        *existing = weak;
         Ok(FleetStop(shared))
     }
 }
