@@ -40,7 +40,7 @@ BENCHES = {
     "video_faults": "a camera's video while the radio is cut, or the Wi-Fi of an `any` link falls silent",
     "video_links": "a camera's video over links with Bluetooth alone, beside links that carry nothing",
     "state": "retained topics compared with zenoh-ext, MQTT and NetworkTables: a late subscriber, and after a cut",
-    "parameters": "parameters compared with NetworkTables: a slider beside 1 MB, idle, a restart, a cut, an invalid value",
+    "parameters": "parameters compared with NetworkTables: a slider beside 1 MB, idle, a restart, a cut, a wrong type",
     "transfer": "a file of 5 MB over a slow link, without and with three cuts; concurrent urgent messages",
     "python": "the Python package compared with plain eclipse-zenoh: latency, frames, import time, memory",
     "cpp": "the C++ library compared with the Rust library, micro-benchmarks, allocations, size of a static program",
