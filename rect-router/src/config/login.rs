@@ -6,8 +6,8 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use rect_core::storage::regular_file;
 use rect_core::session::login;
+use rect_core::storage::regular_file;
 use zenoh::Config;
 
 use super::ConfigError;
