@@ -230,6 +230,22 @@ def test_stock_tools_get_the_last_value(state_routers: Routers) -> None:
         assert get("rect/wombat-1/stock/mode") == []
 
 
+def test_subscription_that_is_replaced_at_once_gets_the_last_value(state_routers: Routers) -> None:
+    with state_routers.connect("wombat-2") as two, state_routers.connect("wombat-1") as one:
+        one.wait_for_peer("wombat-2", DEADLINE)
+        for number in range(60):
+            two.publish("again/mode", number, retained=True)
+            # The question of the first subscription may be answered after it has ended.
+            for pattern in ("wombat-2/again/*", "*/again/*", "wombat-2/again/*"):
+                with one.subscribe(pattern) as subscriber:
+                    if number % 3 == 0:
+                        assert subscriber.next(timeout=DEADLINE).value <= number
+                time.sleep(0.01 * (number % 5))
+            with one.subscribe("wombat-2/again/*") as subscriber:
+                until(lambda last=subscriber, expected=number: last.next(timeout=DEADLINE).value == expected)
+        two.forget("again/mode")
+
+
 def test_advanced_subscriber_gets_the_last_value_of_a_robot_that_rect_init_configured(
     state_routers: Routers, tmp_path: Path
 ) -> None:

@@ -282,7 +282,8 @@ impl Copies {
         asking.pages += 1;
         copied.pause = PAUSE;
         let is_stuck = before.is_some_and(|Position(_, number)| page.at <= number);
-        asking.has_more = page.more && !is_stuck && asking.pages < MAX_PAGES;
+        let is_wanted = !asking.keys.is_empty();
+        asking.has_more = page.more && is_wanted && !is_stuck && asking.pages < MAX_PAGES;
         if asking.has_more {
             return Some(Arrived {
                 forgotten: None,
@@ -359,6 +360,12 @@ impl Copies {
             };
             let parts: Vec<_> = fetched.iter().filter(|key| is_part(key)).cloned().collect();
             copied.fetched = [known, parts].concat();
+            // The values that an answer contains of other topics are not kept, so that these are not known afterwards.
+            if let Some(asking) = &mut copied.asking {
+                let is_kept =
+                    |key: &OwnedKeyExpr| interests.iter().any(|interest| interest.includes(key));
+                asking.keys.retain(is_kept);
+            }
         }
     }
 
