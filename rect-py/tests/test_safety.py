@@ -527,8 +527,10 @@ def test_end_of_the_program_that_takes_part_is_known_to_those_that_do(safety_rou
             mover.fleet_stop()
             stop.press("smoke")
             until(lambda: stop.confirmation("wombat-2") == "confirmed")
-        until(lambda: stop.confirmation("wombat-2") == "ended", lambda: stop.confirmation("wombat-2"))
-        stop.release()
+        try:
+            until(lambda: stop.confirmation("wombat-2") == "ended", lambda: stop.confirmation("wombat-2"))
+        finally:
+            stop.release()
 
 
 def test_stop_survives_a_restart_of_the_robot(safety_routers: Routers) -> None:

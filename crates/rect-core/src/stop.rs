@@ -220,10 +220,12 @@ impl FleetStop {
         }
         self.limit();
         if self.robots.len() < MAX_ROBOTS || self.robots.contains_key(robot) {
+            let before = self.robots.get(robot);
             let report = Report {
                 known: StopState { stops },
                 has_ended,
-                is_reachable: true,
+                // A message of a robot that cannot be reached is a copy that another one has.
+                is_reachable: before.is_none_or(|before| before.is_reachable),
             };
             self.robots.insert(robot.clone(), report);
         }

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 _TOPIC: str = _rect.STOP_TOPIC
 #: How long to wait before a message is published again that could not be, in seconds.
 _AGAIN_AFTER_S = 2.0
+#: How long it takes until the routers of other robots know that a program has ended, in seconds.
+_MARKED_WITHIN_S = 3.0
 
 
 @dataclass(frozen=True)
@@ -233,11 +235,16 @@ class StopExecutor:
     def _on_event(self, event: tuple[Any, ...]) -> None:
         kind, robot = event[:2]
         if kind == "program_down":
-            with self._lock:
-                self._asks.add(robot)
-            self._wake.set()
+            timer = threading.Timer(_MARKED_WITHIN_S, self._ask_soon, (robot,))
+            timer.daemon = True
+            timer.start()
         elif self.core.on_event(event):
             self._on_change()
+
+    def _ask_soon(self, robot: str) -> None:
+        with self._lock:
+            self._asks.add(robot)
+        self._wake.set()
 
     def _on_message(self, message: Message[Any]) -> None:
         if message.problem is not None or message.is_forgotten:

@@ -20,6 +20,8 @@ use tokio::{
 use super::{events::Events, robot::Robot, shared::lock, subscriber::Subscriber, warnings::warn};
 use crate::error::Error;
 
+/// How long it takes until the routers of other robots know that a program has ended.
+const MARKED_WITHIN: Duration = Duration::from_secs(3);
 /// How long to wait before a message is published again that could not be.
 const AGAIN_AFTER: Duration = Duration::from_secs(2);
 
@@ -124,6 +126,7 @@ async fn follow(shared: Weak<Shared>, messages: Subscriber<Payload>, events: Eve
 
 /// Asks a robot for its state, in which its router marks that the program has ended.
 async fn ask_again(shared: Weak<Shared>, robot: Robot, other: Name) {
+    tokio::time::sleep(MARKED_WITHIN).await;
     let latest = robot.latest::<Payload>(other, TOPIC).await;
     if let (Ok(Some(message)), Some(shared)) = (latest, shared.upgrade()) {
         shared.on_message(&message);
