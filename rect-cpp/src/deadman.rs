@@ -7,10 +7,11 @@ use std::{
         Arc, Mutex, PoisonError,
     },
     thread::{self, JoinHandle},
-    time::{Duration, Instant},
+    time::Duration,
 };
 
-use rect_core::deadman;
+use rect::{DeadmanCall, DeadmanCalls};
+use rect_core::deadman::ENDED;
 use tokio_util::sync::CancellationToken;
 
 use crate::{
@@ -42,26 +43,14 @@ pub type IsCommand = Option<extern "C" fn(message: *const Message, context: *mut
 /// returns.
 pub type OnLost = Option<extern "C" fn(reason: *const c_char, context: *mut c_void)>;
 
-/// The next call of the program.
-enum Action {
-    Command(Box<rect::Message>),
-    Lost(String),
-}
-
 struct Switch {
-    stop: rect::FleetStop,
-    events: rect::Events,
-    commands: rect::Subscriber,
-    state: tokio::sync::Mutex<State>,
+    /// `None` after the end.
+    calls: tokio::sync::Mutex<Option<DeadmanCalls<rect::Payload>>>,
     is_following: AtomicBool,
     end: CancellationToken,
 }
 
-struct State {
-    switch: deadman::Deadman,
-    stops: rect::StopChanges,
-    has_ended: bool,
-}
+type Call = DeadmanCall<rect::Message>;
 
 struct RunningSwitch {
     switch: Arc<Switch>,
@@ -86,96 +75,39 @@ impl Object for RunningSwitch {
 
 impl Switch {
     fn declare(program: &Program, pattern: &str, within: Duration) -> Result<Self, Failure> {
-        let option = "within_ms";
-        let switch = deadman::Deadman::new(within).map_err(|reason| rect::Error::Option {
-            option,
-            value: within.as_millis().to_string(),
-            source: reason.into(),
+        let calls = program.robot.deadman_calls(pattern, within);
+        let calls = program.wait(calls).map_err(|failure| match failure {
+            Failure::Rect(rect::Error::Option { source, .. }) => rect::Error::Option {
+                option: "within_ms",
+                value: within.as_millis().to_string(),
+                source,
+            }
+            .into(),
+            failure => failure,
         })?;
-        let pattern = rect::Pattern::new(pattern)?;
-        let stop = program.wait(program.robot.fleet_stop())?;
-        let mut state = State {
-            switch,
-            stops: stop.changes(),
-            has_ended: false,
-        };
-        state.switch.on_stop(reason(&stop));
         Ok(Self {
-            events: program.wait(program.robot.events())?,
-            commands: program.wait(program.robot.subscribe(pattern))?,
-            stop,
-            state: tokio::sync::Mutex::new(state),
+            calls: tokio::sync::Mutex::new(Some(calls)),
             is_following: AtomicBool::new(false),
             end: CancellationToken::new(),
         })
     }
 
     /// Returns the next call of the program, and `None` after the end. Only one thread waits for it.
-    async fn next(&self, is_command: impl Fn(&rect::Message) -> bool) -> Option<Action> {
-        let mut state = self.state.lock().await;
-        let State {
-            switch,
-            stops,
-            has_ended,
-        } = &mut *state;
-        if *has_ended {
-            return None;
-        }
-        loop {
-            if let Some(reason) = switch.poll(Instant::now()) {
-                return Some(self.lost(reason));
-            }
-            let deadline = switch.deadline();
-            let expired = async {
-                match deadline {
-                    Some(deadline) => tokio::time::sleep_until(deadline.into()).await,
-                    None => std::future::pending().await,
-                }
-            };
-            let is_open = tokio::select! {
-                biased;
-                () = self.end.cancelled() => false,
-                changed = stops.next() => {
-                    switch.on_stop(reason(&self.stop));
-                    changed.is_some()
-                }
-                event = self.events.next() => {
-                    match &event {
-                        Some(rect::Event::PeerDown { robot }) => switch.on_gone(robot),
-                        Some(rect::Event::ProgramDown { robot, .. }) => {
-                            switch.on_program_gone(Instant::now(), robot);
-                        }
-                        _ => {}
-                    }
-                    event.is_some()
-                }
-                message = self.commands.next() => match message {
-                    Some(message) => {
-                        if is_command(&message) && switch.on_command(Instant::now(), &message) {
-                            self.is_following.store(true, Ordering::Release);
-                            return Some(Action::Command(message.into()));
-                        }
-                        true
-                    }
-                    None => false,
-                },
-                () = expired => true,
-            };
-            if !is_open {
-                *has_ended = true;
-                return Some(self.lost("the dead man's switch has ended".to_owned()));
-            }
-        }
+    async fn next(&self, is_command: impl Fn(&rect::Message) -> bool) -> Option<Call> {
+        let mut calls = self.calls.lock().await;
+        let next = tokio::select! {
+            biased;
+            () = self.end.cancelled() => None,
+            next = calls.as_mut()?.next(is_command) => next,
+        };
+        let next = next.unwrap_or_else(|| {
+            *calls = None;
+            Call::Lost(ENDED.to_owned())
+        });
+        let is_following = matches!(next, Call::Command(_));
+        self.is_following.store(is_following, Ordering::Release);
+        Some(next)
     }
-
-    fn lost(&self, reason: String) -> Action {
-        self.is_following.store(false, Ordering::Release);
-        Action::Lost(reason)
-    }
-}
-
-fn reason(stop: &rect::FleetStop) -> Option<String> {
-    stop.pressed().first().map(rect::Stop::in_words)
 }
 
 /// Calls a callback for messages, and returns its result; `None` if it is closed.
@@ -249,12 +181,12 @@ pub unsafe extern "C" fn rect_robot_deadman(
                 .unwrap_or(false),
                 None => true,
             };
-            let act = |action| match action {
-                Action::Command(message) => with_message(&callback, &message, |view, context| {
+            let act = |call| match call {
+                Call::Command(message) => with_message(&callback, &message, |view, context| {
                     on_command(view, context)
                 })
                 .is_some(),
-                Action::Lost(reason) => {
+                Call::Lost(reason) => {
                     let reason: [c_char; ERROR_BYTES] = buffer(&reason);
                     callback.run(|context| on_lost(reason.as_ptr(), context))
                 }

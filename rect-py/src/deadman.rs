@@ -7,7 +7,11 @@ use std::{
 };
 
 use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyTuple};
-use rect_core::{deadman::Deadman, message::Message, name::Name};
+use rect_core::{
+    deadman::{Deadman, ENDED},
+    message::Message,
+    name::Name,
+};
 
 use crate::{
     codec::payload,
@@ -157,7 +161,7 @@ impl Shared {
         while state.is_losing || state.repeat.is_some() {
             state = self.wait(state, None);
         }
-        // A command that has waited for as long for the program is none of this moment.
+        // The program was busy for so long that the command is too old.
         let is_stale = arrived_at.elapsed() >= self.within;
         if state.phase != Phase::Running || is_stale {
             return false;
@@ -238,7 +242,7 @@ impl State {
             Phase::Running => self.switch.poll(now),
             Phase::Ending => {
                 self.phase = Phase::Ended;
-                Some("the dead man's switch has ended".to_owned())
+                Some(ENDED.to_owned())
             }
             Phase::Ended => None,
         };

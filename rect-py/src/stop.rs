@@ -44,7 +44,7 @@ impl FleetStop {
         let mut state = lock(&self.0);
         state.switches.retain(|one| one.strong_count() > 0);
         state.switches.push(Arc::downgrade(switch.shared()));
-        switch.shared().on_stop(state.reason());
+        switch.shared().on_stop(state.known.reason());
     }
 
     /// Handles what a robot knows. Returns whether the message is to be published, and what is wrong with that of the robot.
@@ -132,13 +132,9 @@ impl FleetStop {
 }
 
 impl State {
-    fn reason(&self) -> Option<String> {
-        self.known.pressed().first().map(stop::Stop::in_words)
-    }
-
     /// Reports to the dead man's switches, in the order of the changes.
     fn report(&self) {
-        let reason = self.reason();
+        let reason = self.known.reason();
         for switch in self.switches.iter().filter_map(Weak::upgrade) {
             switch.on_stop(reason.clone());
         }

@@ -18,6 +18,8 @@ pub const MIN_WITHIN: Duration = Duration::from_millis(20);
 /// The longest one.
 pub const MAX_WITHIN: Duration = Duration::from_secs(60);
 
+/// Why the commander is lost when the switch ends.
+pub const ENDED: &str = "the dead man's switch has ended";
 /// How long a robot follows after a program of its commander has ended.
 const PROGRAM_GONE: Duration = Duration::from_millis(100);
 

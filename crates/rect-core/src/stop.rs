@@ -270,6 +270,11 @@ impl FleetStop {
         pressed
     }
 
+    /// Returns the latest of these stops in words; `None` if the fleet is not stopped.
+    pub fn reason(&self) -> Option<String> {
+        self.pressed().first().map(Stop::in_words)
+    }
+
     /// Returns whether a robot has confirmed; `None` if it does not take part, or cannot be reached.
     pub fn confirmation(&self, robot: &Name) -> Option<Confirmation> {
         let report = self.robots.get(robot).filter(|one| one.is_reachable)?;

@@ -43,6 +43,8 @@ mod waiting;
 mod warnings;
 
 pub use deadman::Deadman;
+#[doc(hidden)]
+pub use deadman::{DeadmanCall, DeadmanCalls};
 pub use events::Events;
 pub use gathered::{Gathered, Outcome};
 pub use options::{connect, Options};

@@ -16,13 +16,89 @@ use rect_core::{
 };
 use tokio::{task::JoinHandle, time::sleep_until};
 
-use super::{robot::Robot, stop::FleetStop, subscriber::call};
+use super::{
+    events::Events,
+    robot::Robot,
+    stop::{FleetStop, StopChanges},
+    subscriber::{call, Subscriber},
+};
 use crate::error::{valid, Error};
 
 /// A dead man's switch; created by [`Robot::deadman`]. Dropping it ends it, as a loss.
 pub struct Deadman {
     is_following: Arc<AtomicBool>,
     task: JoinHandle<()>,
+}
+
+/// The next call of a program that follows commands.
+#[doc(hidden)]
+pub enum DeadmanCall<C> {
+    /// Carry out a command.
+    Command(C),
+    /// Stop the motors, for this reason.
+    Lost(String),
+}
+
+/// The commands of a dead man's switch, and their losses, for the C library: its program takes them on a thread of its own.
+#[doc(hidden)]
+pub struct DeadmanCalls<T: FromPayload> {
+    switch: deadman::Deadman,
+    stop: FleetStop,
+    stops: StopChanges,
+    events: Events,
+    commands: Subscriber<T>,
+}
+
+impl<T: FromPayload> DeadmanCalls<T> {
+    /// Waits for the next call. Only messages for which `is_command` returns true count. Returns `None` once the session is closed.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, nothing is lost.
+    pub async fn next(
+        &mut self,
+        is_command: impl Fn(&Message<T::Value>) -> bool,
+    ) -> Option<DeadmanCall<Message<T::Value>>> {
+        let Self {
+            switch,
+            stop,
+            stops,
+            events,
+            commands,
+        } = self;
+        loop {
+            if let Some(reason) = switch.poll(Instant::now()) {
+                return Some(DeadmanCall::Lost(reason));
+            }
+            let deadline = switch.deadline();
+            let expired = async {
+                match deadline {
+                    Some(deadline) => sleep_until(deadline.into()).await,
+                    None => std::future::pending().await,
+                }
+            };
+            tokio::select! {
+                biased;
+                changed = stops.next() => {
+                    changed?;
+                    switch.on_stop(stop.reason());
+                }
+                event = events.next() => match event? {
+                    Event::PeerDown { robot } => switch.on_gone(&robot),
+                    Event::ProgramDown { robot, .. } => {
+                        switch.on_program_gone(Instant::now(), &robot);
+                    }
+                    _ => {}
+                },
+                message = commands.next() => {
+                    let message = message?;
+                    if is_command(&message) && switch.on_command(Instant::now(), &message) {
+                        return Some(DeadmanCall::Command(message));
+                    }
+                }
+                () = expired => {}
+            }
+        }
+    }
 }
 
 /// Calls `on_lost` when the switch is dropped.
@@ -41,7 +117,7 @@ impl<L: FnMut(&str)> Following<L> {
 
 impl<L: FnMut(&str)> Drop for Following<L> {
     fn drop(&mut self) {
-        self.lose("the dead man's switch has ended");
+        self.lose(deadman::ENDED);
     }
 }
 
@@ -87,6 +163,35 @@ impl Robot {
     where
         T::Value: Send + 'static,
     {
+        let mut calls = self.deadman_calls::<T>(pattern, within).await?;
+        let is_following = Arc::new(AtomicBool::new(false));
+        let mut following = Following {
+            is_following: is_following.clone(),
+            on_lost,
+        };
+        let task = self.inner.runtime.spawn(async move {
+            while let Some(next) = calls.next(|_| true).await {
+                match next {
+                    DeadmanCall::Lost(reason) => following.lose(&reason),
+                    DeadmanCall::Command(message) => {
+                        if let Ok(command) = message.value {
+                            (following.is_following).store(true, Ordering::Release);
+                            call("on_command", || on_command(command));
+                        }
+                    }
+                }
+            }
+        });
+        Ok(Deadman { is_following, task })
+    }
+
+    /// Begins a dead man's switch whose calls the program takes itself.
+    #[doc(hidden)]
+    pub async fn deadman_calls<T: FromPayload>(
+        &self,
+        pattern: impl TryInto<Pattern, Error: Into<Error>>,
+        within: Duration,
+    ) -> Result<DeadmanCalls<T>, Error> {
         let pattern: Pattern = valid(pattern)?;
         let mut switch = deadman::Deadman::new(within).map_err(|reason| Error::Option {
             option: "within",
@@ -96,62 +201,16 @@ impl Robot {
         let stop = self.fleet_stop().await?;
         let events = self.events().await?;
         let commands = self.subscribe::<T>(pattern).await?;
-        let is_following = Arc::new(AtomicBool::new(false));
-        let mut following = Following {
-            is_following: is_following.clone(),
-            on_lost,
-        };
-        let task = self.inner.runtime.spawn(async move {
-            let mut stops = stop.changes();
-            switch.on_stop(reason(&stop));
-            loop {
-                if let Some(reason) = switch.poll(Instant::now()) {
-                    following.lose(&reason);
-                }
-                let deadline = switch.deadline();
-                tokio::select! {
-                    biased;
-                    changed = stops.next() => match changed {
-                        Some(()) => switch.on_stop(reason(&stop)),
-                        None => return,
-                    },
-                    event = events.next() => match event {
-                        Some(Event::PeerDown { robot }) => switch.on_gone(&robot),
-                        Some(Event::ProgramDown { robot, .. }) => {
-                            switch.on_program_gone(Instant::now(), &robot);
-                        }
-                        Some(_) => {}
-                        None => return,
-                    },
-                    message = commands.next() => match message {
-                        Some(message) => {
-                            if let Some(command) = accepted(&mut switch, message) {
-                                (following.is_following).store(true, Ordering::Release);
-                                call("on_command", || on_command(command));
-                            }
-                        }
-                        None => return,
-                    },
-                    () = async { match deadline {
-                        Some(deadline) => sleep_until(deadline.into()).await,
-                        None => std::future::pending().await,
-                    } } => {}
-                }
-            }
-        });
-        Ok(Deadman { is_following, task })
+        let stops = stop.changes();
+        switch.on_stop(stop.reason());
+        Ok(DeadmanCalls {
+            switch,
+            stop,
+            stops,
+            events,
+            commands,
+        })
     }
-}
-
-/// Returns the command of a message, if it counts.
-fn accepted<T>(switch: &mut deadman::Deadman, message: Message<T>) -> Option<T> {
-    let counts = switch.on_command(Instant::now(), &message);
-    message.value.ok().filter(|_| counts)
-}
-
-fn reason(stop: &FleetStop) -> Option<String> {
-    let pressed = stop.pressed();
-    pressed.first().map(rect_core::stop::Stop::in_words)
 }
 
 impl Deadman {

@@ -235,6 +235,10 @@ impl FleetStop {
         lock(&self.0.known).pressed()
     }
 
+    pub(super) fn reason(&self) -> Option<String> {
+        lock(&self.0.known).reason()
+    }
+
     /// Returns whether a robot has confirmed the stop, or its release; `None` if none of its programs takes part, or if it is not
     /// reachable.
     pub fn confirmation(&self, robot: &Name) -> Option<Confirmation> {
