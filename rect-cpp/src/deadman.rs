@@ -4,7 +4,7 @@ use std::{
     mem::MaybeUninit,
     sync::{
         atomic::{AtomicBool, Ordering},
-        Arc, Mutex, PoisonError,
+        Arc, Mutex,
     },
     thread::{self, JoinHandle},
     time::Duration,
@@ -19,7 +19,7 @@ use crate::{
     boundary::{buffer, call, require_out, write_out, ErrorOut, ERROR_BYTES},
     callback::{Callback, Release},
     failure::{Code, Failure},
-    handle::{self, Object},
+    handle::{self, lock, Object},
     message::{self, problem, Message},
     program::Program,
     robot::RobotHandle,
@@ -62,7 +62,7 @@ impl Object for RunningSwitch {
 
     fn on_dropped(&self) {
         self.switch.end.cancel();
-        let thread = (self.thread.lock().unwrap_or_else(PoisonError::into_inner)).take();
+        let thread = lock(&self.thread).take();
         match thread {
             Some(thread) if thread.thread().id() != thread::current().id() => {
                 // Fails only after a panic.
@@ -75,7 +75,7 @@ impl Object for RunningSwitch {
 
 impl Switch {
     fn declare(program: &Program, pattern: &str, within: Duration) -> Result<Self, Failure> {
-        let calls = program.robot.deadman_calls(pattern, within);
+        let calls = DeadmanCalls::begin(&program.robot, pattern, within);
         let calls = program.wait(calls).map_err(|failure| match failure {
             Failure::Rect(rect::Error::Option { source, .. }) => rect::Error::Option {
                 option: "within_ms",

@@ -50,6 +50,32 @@ pub struct DeadmanCalls<T: FromPayload> {
 }
 
 impl<T: FromPayload> DeadmanCalls<T> {
+    /// Begins a switch. Fails as [`Robot::deadman`] does.
+    pub async fn begin(
+        robot: &Robot,
+        pattern: impl TryInto<Pattern, Error: Into<Error>>,
+        within: Duration,
+    ) -> Result<Self, Error> {
+        let pattern: Pattern = valid(pattern)?;
+        let mut switch = deadman::Deadman::new(within).map_err(|reason| Error::Option {
+            option: "within",
+            value: format!("{within:?}"),
+            source: reason.into(),
+        })?;
+        let stop = robot.fleet_stop().await?;
+        let events = robot.events().await?;
+        let commands = robot.subscribe::<T>(pattern).await?;
+        let stops = stop.changes();
+        switch.on_stop(stop.reason());
+        Ok(Self {
+            switch,
+            stop,
+            stops,
+            events,
+            commands,
+        })
+    }
+
     /// Waits for the next call. Only messages for which `is_command` returns true count. Returns `None` once the session is closed.
     ///
     /// # Cancel safety
@@ -163,7 +189,7 @@ impl Robot {
     where
         T::Value: Send + 'static,
     {
-        let mut calls = self.deadman_calls::<T>(pattern, within).await?;
+        let mut calls = DeadmanCalls::<T>::begin(self, pattern, within).await?;
         let is_following = Arc::new(AtomicBool::new(false));
         let mut following = Following {
             is_following: is_following.clone(),
@@ -183,33 +209,6 @@ impl Robot {
             }
         });
         Ok(Deadman { is_following, task })
-    }
-
-    /// Begins a dead man's switch whose calls the program takes itself.
-    #[doc(hidden)]
-    pub async fn deadman_calls<T: FromPayload>(
-        &self,
-        pattern: impl TryInto<Pattern, Error: Into<Error>>,
-        within: Duration,
-    ) -> Result<DeadmanCalls<T>, Error> {
-        let pattern: Pattern = valid(pattern)?;
-        let mut switch = deadman::Deadman::new(within).map_err(|reason| Error::Option {
-            option: "within",
-            value: format!("{within:?}"),
-            source: reason.into(),
-        })?;
-        let stop = self.fleet_stop().await?;
-        let events = self.events().await?;
-        let commands = self.subscribe::<T>(pattern).await?;
-        let stops = stop.changes();
-        switch.on_stop(stop.reason());
-        Ok(DeadmanCalls {
-            switch,
-            stop,
-            stops,
-            events,
-            commands,
-        })
     }
 }
 
