@@ -94,11 +94,13 @@ mod _rect {
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         use rect_core::{
             message::{queue::DEFAULT_CAPACITY, request::DEFAULT_TIMEOUT_MS},
+            parameters::order,
             registry::named_connection,
             session::{
                 declarations, endpoint, inquiry, login, peers, publication, router, service,
                 settings,
             },
+            stop,
         };
         use rect_recording::{answer, recorder, report};
         module.add("ADD", named_connection::ADD)?;
@@ -111,6 +113,8 @@ mod _rect {
         module.add("MAX_CONCURRENT", service::MAX_CONCURRENT)?;
         module.add("MAX_DECLARATIONS", declarations::MAX)?;
         module.add("MAX_REPLIES", inquiry::MAX_REPLIES)?;
+        module.add("PARAMETERS_PAUSE_S", order::PAUSE.as_secs_f64())?;
+        module.add("PARAMETERS_WITHIN_S", order::DECLARED_WITHIN.as_secs_f64())?;
         module.add("QUERY_TIMEOUT_S", peers::TIMEOUT.as_secs_f64())?;
         module.add("RECORDED_EVENTS", report::EVENTS)?;
         module.add("RECORDED_LINK", report::LINK)?;
@@ -121,7 +125,9 @@ mod _rect {
         module.add("ROBOT_TIMEOUT_S", router::ROBOT_TIMEOUT.as_secs_f64())?;
         module.add("ROUTER_VARIABLE", endpoint::ROUTER_VARIABLE)?;
         module.add("SERVICE_CAPACITY", service::CAPACITY)?;
-        module.add("STOP_TOPIC", rect_core::stop::TOPIC)?;
+        module.add("STOP_AGAIN_AFTER_S", stop::AGAIN_AFTER.as_secs_f64())?;
+        module.add("STOP_MARKED_WITHIN_S", stop::MARKED_WITHIN.as_secs_f64())?;
+        module.add("STOP_TOPIC", stop::TOPIC)?;
         module.add("__version__", env!("CARGO_PKG_VERSION"))
     }
 }

@@ -4,7 +4,7 @@
 //! which of these it was released. Each takes over what the others know, so that a stop reaches a robot through any other one, and
 //! remains when the one that pressed it is switched off. The robot is stopped while one stop is not released. That a robot knows a stop is its
 //! confirmation.
-use std::collections::BTreeMap;
+use std::{collections::BTreeMap, time::Duration};
 
 use serde::{Deserialize, Serialize};
 
@@ -19,6 +19,10 @@ use crate::{
 
 /// The retained topic on which each robot says which stops it knows.
 pub const TOPIC: &str = "stop/state";
+/// The pause before a message is published again that could not be.
+pub const AGAIN_AFTER: Duration = Duration::from_secs(2);
+/// The time within which the routers of other robots know that a program has ended.
+pub const MARKED_WITHIN: Duration = Duration::from_secs(3);
 /// The maximum number of runs of programs that have pressed stop. Those that were released first are left out.
 pub const MAX_RUNS: usize = 64;
 /// The maximum number of robots whose confirmations are known.
@@ -313,6 +317,7 @@ impl FleetStop {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::stream::simulation::Random;
 
     fn name(robot: &str) -> Name {
         Name::new(robot).expect("valid")
@@ -462,13 +467,8 @@ mod tests {
     #[test]
     fn all_agree_whatever_the_order_in_1000_runs() {
         for seed in 0..1000_u64 {
-            let mut state = seed;
-            let mut random = |limit: u64| {
-                state = state
-                    .wrapping_mul(6_364_136_223_846_793_005)
-                    .wrapping_add(1);
-                (state >> 33) % limit
-            };
+            let mut random = Random(seed);
+            let mut random = |limit: u64| random.next() % limit;
             let mut robots = fleet(["a", "b", "c", "d", "e"]);
             // The stops that nobody who knew them has released.
             let mut open: Vec<(u32, u32)> = Vec::new();

@@ -15,10 +15,6 @@ from rect.values import Payload
 if TYPE_CHECKING:
     from rect.session import Session
 
-#: The time within which a group of the catalogue can be reached, and the pause between two attempts, in seconds.
-_DECLARED_WITHIN_S = 1.0
-_PAUSE_S = 0.1
-
 
 def set_parameters(
     session: Session, robot: str, group: str, values: Mapping[str, Any], reset: bool | Sequence[str], stored: bool
@@ -34,7 +30,7 @@ def set_parameters(
     order = _rect.ParameterOrder(dict(values), reset, stored, session.program.name)
     timeout = _rect.DEFAULT_TIMEOUT_S
     payload = Payload(*order.payload())
-    until = time.monotonic() + _DECLARED_WITHIN_S
+    until = time.monotonic() + _rect.PARAMETERS_WITHIN_S
     while True:
         replies: Replies[Any] = Replies(session, robot, topic, payload, "normal", timeout, None, is_stream=stored)
         try:
@@ -51,7 +47,7 @@ def set_parameters(
                 raise NoParameters(robot, group, groups) from None
         finally:
             replies.leave()
-        time.sleep(_PAUSE_S)
+        time.sleep(_rect.PARAMETERS_PAUSE_S)
 
 
 def _next(replies: Replies[Any]) -> Any:

@@ -25,10 +25,6 @@ if TYPE_CHECKING:
     from rect.session import Session
 
 _TOPIC: str = _rect.STOP_TOPIC
-#: How long to wait before a message is published again that could not be, in seconds.
-_AGAIN_AFTER_S = 2.0
-#: How long it takes until the routers of other robots know that a program has ended, in seconds.
-_MARKED_WITHIN_S = 3.0
 
 
 @dataclass(frozen=True)
@@ -158,6 +154,8 @@ class StopExecutor:
         #: Wakes the thread that publishes and asks.
         self._wake = threading.Event()
         self._publishes = True
+        #: The message that was published last, unless this program has learned since that its robot is behind.
+        self._published: Payload | None = None
         #: Robots of which a program has ended. It may be the one that takes part, which only their routers know.
         self._asks: set[str] = set()
         self._ended = threading.Event()
@@ -235,7 +233,7 @@ class StopExecutor:
     def _on_event(self, event: tuple[Any, ...]) -> None:
         kind, robot = event[:2]
         if kind == "program_down":
-            timer = threading.Timer(_MARKED_WITHIN_S, self._ask_soon, (robot,))
+            timer = threading.Timer(_rect.STOP_MARKED_WITHIN_S, self._ask_soon, (robot,))
             timer.daemon = True
             timer.start()
         elif self.core.on_event(event):
@@ -255,21 +253,29 @@ class StopExecutor:
         if problem is not None:
             self._session.warn(f"{message.sender} sends something on {_TOPIC} that is not a stop: {problem}")
         if is_new:
+            self._published = None
             self._publish_soon()
         self._on_change()
 
     def _publish(self) -> None:
         """Publishes at once what this program knows. If that fails, the thread repeats it."""
         self._on_change()
-        self._publish_soon()
-        self._retain(False)
+        try:
+            self._publish_in_memory()
+        finally:
+            # The thread puts it on the disk, also if this fails.
+            self._publish_soon()
 
     def _publish_soon(self) -> None:
         self._publishes = True
         self._wake.set()
 
-    def _retain(self, disk: bool) -> None:
-        self._session.state.retain(_TOPIC, Payload(*self.core.message()), "urgent", disk)
+    def _publish_in_memory(self) -> None:
+        """Publishes what this program knows, unless that is published already."""
+        message = Payload(*self.core.message())
+        if message != self._published:
+            self._session.state.retain(_TOPIC, message, "urgent", False)
+            self._published = message
 
     def _publish_in_background(self) -> None:
         while True:
@@ -281,10 +287,10 @@ class StopExecutor:
                 self._ask()
                 if self._publishes:
                     self._publishes = False
-                    self._retain(False)
+                    self._publish_in_memory()
                     # The disk takes longer. A program without a router has none.
                     if not self._session.is_direct:
-                        self._retain(True)
+                        self._session.state.retain(_TOPIC, Payload(*self.core.message()), "urgent", True)
                 self._last_problem = None
             except Closed:
                 return
@@ -292,7 +298,7 @@ class StopExecutor:
                 if str(error) != self._last_problem:
                     self._last_problem = str(error)
                     self._session.warn(self._last_problem)
-                self._ended.wait(_AGAIN_AFTER_S)
+                self._ended.wait(_rect.STOP_AGAIN_AFTER_S)
                 self._publish_soon()
 
     def _ask(self) -> None:
@@ -300,6 +306,8 @@ class StopExecutor:
         with self._lock:
             asks, self._asks = self._asks, set()
         for robot in asks:
+            if self.core.confirmation(robot) is None:
+                continue
             found = self._session.state.latest(robot, _TOPIC)
             if found is not None:
                 self._on_message(Message(*found))

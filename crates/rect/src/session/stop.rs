@@ -2,7 +2,7 @@
 use std::{
     fmt,
     sync::{Arc, Mutex, Weak},
-    time::{Duration, SystemTime},
+    time::SystemTime,
 };
 
 use rect_core::{
@@ -10,7 +10,7 @@ use rect_core::{
     message::{payload::Payload, Message},
     name::{topic::Pattern, Name},
     registry::connection::Event,
-    stop::{self, Confirmation, Stop, TOPIC},
+    stop::{self, Confirmation, Stop, AGAIN_AFTER, MARKED_WITHIN, TOPIC},
 };
 use tokio::{
     sync::{watch, Notify},
@@ -19,11 +19,6 @@ use tokio::{
 
 use super::{events::Events, robot::Robot, shared::lock, subscriber::Subscriber, warnings::warn};
 use crate::error::Error;
-
-/// How long it takes until the routers of other robots know that a program has ended.
-const MARKED_WITHIN: Duration = Duration::from_secs(3);
-/// How long to wait before a message is published again that could not be.
-const AGAIN_AFTER: Duration = Duration::from_secs(2);
 
 /// The stop of the fleet; created by [`Robot::fleet_stop`]. Clones are the same one.
 ///
@@ -39,6 +34,8 @@ struct Shared {
     robot: Robot,
     known: Mutex<stop::FleetStop>,
     changes: watch::Sender<()>,
+    /// The message that was published last, unless this program has learned since that its robot is behind.
+    published: Mutex<Option<Payload>>,
     /// Wakes the task that publishes what this robot knows.
     publish: Arc<Notify>,
     tasks: Mutex<Vec<JoinHandle<()>>>,
@@ -78,6 +75,7 @@ impl Robot {
             robot: self.clone(),
             known: Mutex::new(known),
             changes: watch::Sender::new(()),
+            published: Mutex::default(),
             publish: Arc::default(),
             tasks: Mutex::default(),
         });
@@ -127,6 +125,10 @@ async fn follow(shared: Weak<Shared>, messages: Subscriber<Payload>, events: Eve
 /// Asks a robot for its state, in which its router marks that the program has ended.
 async fn ask_again(shared: Weak<Shared>, robot: Robot, other: Name) {
     tokio::time::sleep(MARKED_WITHIN).await;
+    let takes_part = |shared: Arc<Shared>| lock(&shared.known).confirmation(&other).is_some();
+    if !shared.upgrade().is_some_and(takes_part) {
+        return;
+    }
     let latest = robot.latest::<Payload>(other, TOPIC).await;
     if let (Ok(Some(message)), Some(shared)) = (latest, shared.upgrade()) {
         shared.on_message(&message);
@@ -160,7 +162,10 @@ impl Shared {
         let has_ended = message.retained.is_some_and(|retained| retained.has_ended);
         let learned = lock(&self.known).on_message(&message.sender, &message.payload, has_ended);
         match learned {
-            Ok(true) => self.publish.notify_one(),
+            Ok(true) => {
+                *lock(&self.published) = None;
+                self.publish.notify_one();
+            }
             Ok(false) => {}
             Err(problem) => warn(&format!(
                 "{} sends something on {TOPIC} that is not a stop: {problem}",
@@ -170,17 +175,37 @@ impl Shared {
         self.changes.send_replace(());
     }
 
+    /// Publishes what this program knows, unless that is published already.
+    async fn publish_in_memory(&self) -> Result<(), Error> {
+        let message = lock(&self.known).message();
+        if lock(&self.published).as_ref() == Some(&message) {
+            return Ok(());
+        }
+        let retained = self.robot.urgent().retained();
+        retained.publish(TOPIC, message.clone()).await?;
+        *lock(&self.published) = Some(message);
+        Ok(())
+    }
+
     /// Publishes what this program knows: at once, and then on the disk of the robot, which takes longer.
     async fn publish(&self) -> Result<(), Error> {
-        let urgent = self.robot.urgent();
-        let message = lock(&self.known).message();
-        urgent.retained().publish(TOPIC, message).await?;
+        self.publish_in_memory().await?;
         if self.robot.inner.direct {
             // A program without a router keeps nothing on disk.
             return Ok(());
         }
         let message = lock(&self.known).message();
-        urgent.retained_on_disk().publish(TOPIC, message).await
+        let on_disk = self.robot.urgent().retained_on_disk();
+        on_disk.publish(TOPIC, message).await
+    }
+}
+
+/// Wakes the task that publishes when it is dropped.
+struct PublishesLater<'a>(&'a Notify);
+
+impl Drop for PublishesLater<'_> {
+    fn drop(&mut self) {
+        self.0.notify_one();
     }
 }
 
@@ -218,11 +243,9 @@ impl FleetStop {
 
     async fn publish(&self) -> Result<(), Error> {
         self.0.changes.send_replace(());
-        // If the future is dropped or this fails, the task does it.
-        self.0.publish.notify_one();
-        let message = lock(&self.0.known).message();
-        let urgent = self.0.robot.urgent();
-        urgent.retained().publish(TOPIC, message).await
+        // The task puts it on the disk, also if the future is dropped or this fails.
+        let _later = PublishesLater(&self.0.publish);
+        self.0.publish_in_memory().await
     }
 
     /// Returns whether the fleet is stopped.

@@ -1,15 +1,12 @@
 //! Changes the parameters of programs.
-use std::{
-    collections::BTreeMap,
-    time::{Duration, Instant},
-};
+use std::{collections::BTreeMap, time::Instant};
 
 use rect_core::{
     message::payload::Payload,
     name::{topic::Topic, Name},
     parameters::{
         self,
-        order::{to_cbor, InForce, Order, Reset, Stored},
+        order::{to_cbor, InForce, Order, Reset, Stored, DECLARED_WITHIN, PAUSE},
         Value,
     },
 };
@@ -20,10 +17,6 @@ use crate::{
     error::{valid, Error},
     session::{request::Replies, robot::Robot},
 };
-
-/// The time within which a group that the catalogue lists can be reached, and the pause between two attempts.
-const DECLARED_WITHIN: Duration = Duration::from_secs(1);
-const PAUSE: Duration = Duration::from_millis(100);
 
 /// A change of parameters of a group, all or nothing. An array of names and values is one: `[("kp", 2.0)]`.
 #[derive(Clone, Debug, Default, PartialEq)]
