@@ -2,8 +2,8 @@
 use std::{process::ExitCode, time::Duration};
 
 use clap::Args;
-use rect::{Confirmation, FleetStop, Name, Payload, Robot};
-use rect_core::{stop::TOPIC, text::display::line};
+use rect::{Confirmation, FleetStop, Name, Robot};
+use rect_core::text::display::line;
 use rect_terminal::{paint, paint_err, Style};
 use tokio::time::{timeout_at, Instant};
 
@@ -92,10 +92,7 @@ async fn show(robot: &Robot, stop: &FleetStop, within: Duration) -> Result<bool,
     robots.sort();
     let mut is_confirmed = true;
     for other in &robots {
-        let mut confirmation = stop.confirmation(other);
-        if confirmation == Some(Confirmation::Waiting) && has_ended(robot, other).await? {
-            confirmation = Some(Confirmation::Ended);
-        }
+        let confirmation = stop.confirmation(other);
         let (style, text) = match confirmation {
             Some(Confirmation::Confirmed) => (Style::Good, "has confirmed"),
             Some(Confirmation::Waiting) => (Style::Wrong, "has not confirmed"),
@@ -106,11 +103,4 @@ async fn show(robot: &Robot, stop: &FleetStop, within: Duration) -> Result<bool,
         println!("{} {text}", paint(style, other.as_str()));
     }
     Ok(is_confirmed)
-}
-
-/// Returns whether the program of a robot has ended that took part. A subscription does not report that.
-async fn has_ended(robot: &Robot, other: &Name) -> Result<bool, Failure> {
-    let latest = robot.latest::<Payload>(other, TOPIC).await?;
-    let retained = latest.and_then(|message| message.retained);
-    Ok(retained.is_some_and(|retained| retained.has_ended))
 }

@@ -18,7 +18,7 @@ pub use group::{Change, Changed, Group};
 pub use value::Value;
 pub use values::Values;
 
-pub use crate::name::parameter::{is_name, MAX_NAME};
+pub use crate::name::parameter::{is_name, wrong_name, MAX_NAME};
 
 /// The part of a topic that precedes the name of a group.
 pub const TOPIC: &str = "parameters";
@@ -40,6 +40,5 @@ pub fn topic(group: &str) -> String {
 
 /// Returns the error that a text cannot name a group.
 pub fn wrong_group(group: &str) -> String {
-    let group: String = group.chars().take(MAX_NAME).collect();
-    format!("{group:?} cannot be the name of a group: use 1 to {MAX_NAME} letters, digits, `_`, `-` and `.`")
+    wrong_name(group, "the name of a group")
 }

@@ -3,10 +3,12 @@ mod changes;
 mod connections;
 mod value;
 
+use std::collections::BTreeMap;
+
 use foxglove::websocket::{
     AnyClient, GetParametersResponder, Parameter, ParameterHandler, SetParametersResponder,
 };
-use rect::{Error, Message, Name, Pattern, Robot, Subscriber};
+use rect::{Error, Message, Name, ParameterValue, Pattern, Robot, Subscriber};
 use rect_core::parameters::{self, order::Snapshot};
 use tokio::runtime::Handle;
 
@@ -59,15 +61,20 @@ impl Shown {
         let group = topic.rsplit('/').next().unwrap_or(topic);
         match message.value {
             Ok(snapshot) if !has_ended && self.selects(&message.sender, group) => {
-                of_group(&message.sender, group, &snapshot)
+                of_group(&message.sender, group, &snapshot.values)
             }
             _ => Vec::new(),
         }
     }
 }
 
-fn of_group(robot: &Name, group: &str, snapshot: &Snapshot) -> Vec<Parameter> {
-    let values = snapshot.values.iter();
+/// Returns the parameters with values of a group.
+fn of_group(
+    robot: &Name,
+    group: &str,
+    values: &BTreeMap<String, ParameterValue>,
+) -> Vec<Parameter> {
+    let values = values.iter();
     let values =
         values.map(|(name, value)| value::parameter(format!("{robot}/{group}/{name}"), value));
     values.collect()
@@ -202,7 +209,7 @@ async fn all(robot: &Robot, shown: &Shown) -> Result<Vec<Parameter>, Error> {
             all.extend(
                 latest
                     .iter()
-                    .flat_map(|latest| of_group(&name, &group.name, &latest.snapshot)),
+                    .flat_map(|latest| of_group(&name, &group.name, &latest.snapshot.values)),
             );
         }
     }

@@ -110,10 +110,7 @@ fn count(count: usize, noun: &str) -> String {
 
 /// Returns the values of a group that a profile contains; `None` if one is not known.
 fn exported(group: &Group, all: bool) -> Option<Values> {
-    let declared = group
-        .declaration
-        .iter()
-        .flat_map(|group| group.parameters());
+    let declared = group.parameters().iter();
     let mut values = Values::new();
     for parameter in declared.filter(|parameter| !parameter.read_only) {
         let value = group.value(parameter)?;

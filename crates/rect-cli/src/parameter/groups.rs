@@ -41,6 +41,12 @@ impl Group {
         self.declaration.is_none() || retained.is_some_and(|retained| retained.has_ended)
     }
 
+    /// Returns the declared parameters; none if the program has ended.
+    pub fn parameters(&self) -> &[Parameter] {
+        let declaration = self.declaration.as_ref();
+        declaration.map_or(&[], Declaration::parameters)
+    }
+
     /// Returns the value of a parameter, as its type.
     pub fn value(&self, parameter: &Parameter) -> Option<ParameterValue> {
         let value = self.latest.as_ref()?.snapshot.values.get(&parameter.name)?;

@@ -3,6 +3,7 @@ use std::{collections::BTreeMap, path::PathBuf, process::ExitCode, sync::Arc};
 
 use clap::Args;
 use rect::{Error, Name, ParameterOrder, ParameterValue, Robot};
+use rect_core::parameters::{self, order::Order};
 use rect_terminal::{paint, Style};
 use tokio::sync::{
     mpsc::{self, UnboundedSender},
@@ -244,10 +245,7 @@ impl Part {
     fn whole(&self, group: &Group) -> Values {
         let mut values = self.values.clone();
         if !self.keep {
-            let declared = group
-                .declaration
-                .iter()
-                .flat_map(|group| group.parameters());
+            let declared = group.parameters().iter();
             for parameter in declared.filter(|parameter| !parameter.read_only) {
                 let default = || parameter.default.clone();
                 values.entry(parameter.name.clone()).or_insert_with(default);
@@ -261,14 +259,9 @@ impl Part {
         let Some(declaration) = &group.declaration else {
             return Ok(());
         };
-        for (name, value) in &self.values {
-            let parameter = declaration.find(name)?;
-            if parameter.read_only {
-                return Err(format!("{name} is read-only"));
-            }
-            parameter.accept(value)?;
-        }
-        Ok(())
+        let (declared, _) = parameters::Group::new(declaration.clone(), None);
+        let order = Order::set(self.values.clone());
+        declared.propose(order, false).map(drop)
     }
 }
 

@@ -165,11 +165,7 @@ fn print<'a>(groups: impl IntoIterator<Item = (&'a Name, &'a Group)>) {
     for (robot, group) in groups {
         let place =
             |name: &str| Cell::styled(Style::Name, format!("{robot}/{}/{name}", group.name));
-        for parameter in group
-            .declaration
-            .iter()
-            .flat_map(|group| group.parameters())
-        {
+        for parameter in group.parameters() {
             let value = group.value(parameter);
             let is_changed = value
                 .as_ref()

@@ -2,7 +2,7 @@
 use std::{fmt, str::FromStr};
 
 use rect::{Name, ParameterValue};
-use rect_core::parameters::{is_name, MAX_NAME};
+use rect_core::parameters::{is_name, wrong_name};
 
 /// A group of parameters of a robot: `wombat-2/drive`.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -105,10 +105,8 @@ fn checked(name: &str) -> Result<&str, PlaceError> {
     if is_name(name) {
         return Ok(name);
     }
-    let cut: String = name.chars().take(MAX_NAME).collect();
-    Err(PlaceError(format!(
-        "{cut:?} cannot be the name of a group or a parameter: use 1 to {MAX_NAME} letters, digits, `_`, `-` and `.`"
-    )))
+    let what = "the name of a group or a parameter";
+    Err(PlaceError(wrong_name(name, what)))
 }
 
 #[cfg(test)]

@@ -333,7 +333,7 @@ impl Declaration {
     /// Returns the parameter of that name.
     ///
     /// # Errors
-    /// Returns in words that there is none, and which one may be meant.
+    /// Returns that the group has no such parameter, and which one may be meant.
     pub fn find(&self, name: &str) -> Result<&Parameter, String> {
         let found = self.0.iter().find(|parameter| parameter.name == name);
         found.ok_or_else(|| {

@@ -28,8 +28,8 @@ pub struct ParametersFile {
 }
 
 /// Returns the path of the file of a group of a robot: `<folder>/<robot>/<group>.json`. The folder is the one of the environment variable
-/// `RECT_PARAMETERS`, or `rect/parameters` in that of the user's state (`XDG_STATE_HOME`, `~/.local/state`). `None` if there is none of
-/// them. `variable` returns an environment variable.
+/// `RECT_PARAMETERS`, or `rect/parameters` in that of the user's state (`XDG_STATE_HOME`, `~/.local/state`). `None` if none of these
+/// variables is set. `variable` returns an environment variable.
 pub fn path(
     robot: &str,
     group: &str,

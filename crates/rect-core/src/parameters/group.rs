@@ -122,7 +122,7 @@ impl Group {
     /// Returns the value of a parameter.
     ///
     /// # Errors
-    /// Returns in words that there is none of that name.
+    /// Returns that the group has no such parameter, and which one may be meant.
     pub fn value(&self, name: &str) -> Result<&Value, String> {
         self.declaration.find(name)?;
         let mut pairs = self.values.of(&self.declaration);

@@ -15,7 +15,7 @@ use tokio::{
     },
 };
 
-use super::value;
+use super::of_group;
 
 /// Number of changes of a group that wait at most.
 const WAITING: usize = 64;
@@ -104,8 +104,5 @@ async fn set(own: &Robot, change: Change) -> Outcome {
     let order = ParameterOrder::from(values);
     let changed = own.set_parameters(robot.clone(), &group, order).await;
     let changed = changed.map_err(|error| format!("{robot}/{group}: {error}"))?;
-    let changed = changed.iter();
-    let changed =
-        changed.map(|(name, value)| value::parameter(format!("{robot}/{group}/{name}"), value));
-    Ok(changed.collect())
+    Ok(of_group(&robot, &group, &changed))
 }
