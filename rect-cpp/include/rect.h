@@ -1379,8 +1379,8 @@ enum rect_code rect_parameters_add_numbers(struct rect_parameters parameters,
                                            const char *about,
                                            struct rect_error *error);
 
-// Lets only the program itself change a parameter that was added. Returns `RECT_CODE_ARGUMENT` if there is none of that name. May be
-// called on any thread.
+// Lets only the program itself change a parameter that was added. Returns `RECT_CODE_ARGUMENT` if no parameter of that name was added.
+// May be called on any thread.
 enum rect_code rect_parameters_make_read_only(struct rect_parameters parameters,
                                               const char *name,
                                               struct rect_error *error);

@@ -8,7 +8,7 @@ use std::{
     mem::MaybeUninit,
     sync::{
         atomic::{AtomicU64, Ordering},
-        Arc, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard,
+        Arc, Mutex, MutexGuard, PoisonError, RwLock, RwLockReadGuard, RwLockWriteGuard,
     },
 };
 
@@ -110,6 +110,11 @@ fn count() -> usize {
     let table = read();
     let occupied = table.entries.iter().filter(|entry| entry.object.is_some());
     occupied.count()
+}
+
+/// Locks a part of an object, also after a panic of a thread that had locked it.
+pub fn lock<T>(part: &Mutex<T>) -> MutexGuard<'_, T> {
+    part.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn read() -> RwLockReadGuard<'static, Table> {

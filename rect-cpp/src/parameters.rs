@@ -4,7 +4,7 @@ use std::{
     collections::BTreeMap,
     ffi::{c_char, c_void},
     mem::MaybeUninit,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{Arc, Mutex, MutexGuard},
 };
 
 use rect::{GroupOptions, Parameter, ParameterOrder, ParameterValue as Value};
@@ -16,7 +16,7 @@ use crate::{
     callback::{Callback, Release},
     cancellable::timeout,
     failure::{Code, Failure},
-    handle::{self, Object},
+    handle::{self, lock, Object},
     parameter_values::{self, ParameterValue, ParameterValues},
     program::Program,
     robot::RobotHandle,
@@ -130,24 +130,35 @@ impl Group {
         Ok((this, group))
     }
 
-    /// Returns the value of a parameter.
-    fn value(group: ParameterGroup, name: &str) -> Result<Value, Failure> {
+    /// Returns the value of a parameter as a type, which is `expected` in words.
+    ///
+    /// # Safety
+    /// `name` is NULL, or has a terminating zero byte.
+    unsafe fn value<T>(
+        group: ParameterGroup,
+        name: *const c_char,
+        expected: &str,
+        as_type: impl FnOnce(&Value) -> Option<T>,
+    ) -> Result<T, Failure> {
+        // SAFETY: guaranteed by this function's caller.
+        let name = unsafe { text("name", name) }?;
         let (this, group) = Self::resolve(group)?;
         let found = this.declaration.find(name);
         found.map_err(|reason| rect::Error::Parameters { reason })?;
         let values = group.get();
-        let value = values.get(name).cloned();
-        value.ok_or_else(|| Failure::argument("name", "is not the name of a parameter"))
+        let value = values.get(name);
+        let value =
+            value.ok_or_else(|| Failure::argument("name", "is not the name of a parameter"))?;
+        as_type(value).ok_or_else(|| {
+            let found = value.type_name();
+            Failure::argument("name", format!("belongs to {found}, not to {expected}"))
+        })
     }
 }
 
 thread_local! {
     /// Whether this thread runs a check.
     static IS_CHECKING: Cell<bool> = const { Cell::new(false) };
-}
-
-fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Returns a limit of a range; C passes NaN for none.
@@ -327,8 +338,8 @@ pub unsafe extern "C" fn rect_parameters_add_numbers(
     }
 }
 
-/// Lets only the program itself change a parameter that was added. Returns `RECT_CODE_ARGUMENT` if there is none of that name. May be
-/// called on any thread.
+/// Lets only the program itself change a parameter that was added. Returns `RECT_CODE_ARGUMENT` if no parameter of that name was added.
+/// May be called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_parameters_make_read_only(
     parameters: Parameters,
@@ -504,14 +515,14 @@ pub unsafe extern "C" fn rect_parameter_group_number(
     number: Option<&mut MaybeUninit<f64>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
+    let as_number = |value: &Value| match value {
+        Value::Number(number) => Some(*number),
+        Value::Integer(number) => Some(*number as f64),
+        _ => None,
+    };
     call(error, || {
         // SAFETY: the caller follows the rules of rect.h.
-        let value = Group::value(group, unsafe { text("name", name) }?)?;
-        let value = match value {
-            Value::Number(number) => number,
-            Value::Integer(number) => number as f64,
-            other => return Err(another_type(&other, "a number")),
-        };
+        let value = unsafe { Group::value(group, name, "a number", as_number) }?;
         write_out("number", number, value)
     })
 }
@@ -524,13 +535,13 @@ pub unsafe extern "C" fn rect_parameter_group_integer(
     integer: Option<&mut MaybeUninit<i64>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
+    let as_integer = |value: &Value| match value {
+        Value::Integer(number) => Some(*number),
+        _ => None,
+    };
     call(error, || {
         // SAFETY: the caller follows the rules of rect.h.
-        let value = Group::value(group, unsafe { text("name", name) }?)?;
-        let value = match value {
-            Value::Integer(number) => number,
-            other => return Err(another_type(&other, "an integer")),
-        };
+        let value = unsafe { Group::value(group, name, "an integer", as_integer) }?;
         write_out("integer", integer, value)
     })
 }
@@ -543,13 +554,13 @@ pub unsafe extern "C" fn rect_parameter_group_bool(
     boolean: Option<&mut MaybeUninit<bool>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
+    let as_bool = |value: &Value| match value {
+        Value::Bool(boolean) => Some(*boolean),
+        _ => None,
+    };
     call(error, || {
         // SAFETY: the caller follows the rules of rect.h.
-        let value = Group::value(group, unsafe { text("name", name) }?)?;
-        let value = match value {
-            Value::Bool(value) => value,
-            other => return Err(another_type(&other, "a bool")),
-        };
+        let value = unsafe { Group::value(group, name, "a bool", as_bool) }?;
         write_out("boolean", boolean, value)
     })
 }
@@ -562,21 +573,16 @@ pub unsafe extern "C" fn rect_parameter_group_text(
     string: Option<&mut MaybeUninit<StringView>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
+    let as_text = |value: &Value| match value {
+        Value::Text(text) => Some(text.clone()),
+        _ => None,
+    };
     call(error, || {
         require_out("string", &string)?;
         // SAFETY: the caller follows the rules of rect.h.
-        let value = Group::value(group, unsafe { text("name", name) }?)?;
-        let value = match value {
-            Value::Text(text) => text,
-            other => return Err(another_type(&other, "a text")),
-        };
+        let value = unsafe { Group::value(group, name, "a text", as_text) }?;
         write_out("string", string, string_into_c(value))
     })
-}
-
-fn another_type(value: &Value, expected: &str) -> Failure {
-    let found = value.type_name();
-    Failure::argument("name", format!("belongs to {found}, not to {expected}"))
 }
 
 /// Changes `len` parameters of this program, also read-only ones: all or none. They are in force when this function returns, and are

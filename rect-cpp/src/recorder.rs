@@ -2,7 +2,7 @@
 use std::{
     ffi::c_char,
     mem::MaybeUninit,
-    sync::{Arc, Mutex, MutexGuard, PoisonError},
+    sync::{Arc, Mutex, MutexGuard},
     time::Duration,
 };
 
@@ -13,7 +13,7 @@ use crate::{
     argument::{items, text},
     boundary::{buffer, call, require_out, write_out, ErrorOut},
     failure::{Code, Failure},
-    handle::{self, Object},
+    handle::{self, lock, Object},
     robot::RobotHandle,
 };
 
@@ -72,7 +72,7 @@ impl Object for OwnedRecorder {
 
 impl OwnedRecorder {
     fn recorder(&self) -> MutexGuard<'_, Option<RobotRecorder>> {
-        self.recorder.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.recorder)
     }
 }
 

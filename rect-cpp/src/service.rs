@@ -2,7 +2,7 @@
 use std::{
     ffi::{c_char, c_void},
     mem::MaybeUninit,
-    sync::{Arc, Mutex, PoisonError},
+    sync::{Arc, Mutex},
 };
 
 use rect::{Encoding, Name, Payload};
@@ -12,7 +12,7 @@ use crate::{
     boundary::{call, require_out, write_out, ErrorOut},
     callback::{Callback, Release},
     failure::{Code, Failure},
-    handle::{self, Object},
+    handle::{self, lock, Object},
     payload::PayloadView,
     program::Program,
     robot::RobotHandle,
@@ -65,7 +65,7 @@ impl Object for RunningService {
     const KIND: &'static str = "service";
 
     fn on_dropped(&self) {
-        let mut service = self.service.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut service = lock(&self.service);
         drop(service.take());
         drop(service);
         self.callback.close();
@@ -87,7 +87,7 @@ impl Object for PendingRequest {
 
 impl PendingRequest {
     fn set(&self, reply: ReplyResult) -> Result<(), Failure> {
-        let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut last = lock(&self.last);
         match last.replace(reply) {
             None => Ok(()),
             Some(Ok(earlier)) => Ok(self.request.reply(earlier)?),
@@ -99,7 +99,7 @@ impl PendingRequest {
     }
 
     fn take(&self) -> Option<ReplyResult> {
-        (self.last.lock().unwrap_or_else(PoisonError::into_inner)).take()
+        lock(&self.last).take()
     }
 }
 

@@ -1,9 +1,5 @@
 //! Exposes groups of parameters: their declarations, values and files, and the orders that change them.
-use std::{
-    path::PathBuf,
-    sync::{Mutex, PoisonError},
-    time::Instant,
-};
+use std::{path::PathBuf, sync::Mutex, time::Instant};
 
 use pyo3::{
     exceptions::PyAttributeError,
@@ -194,7 +190,7 @@ impl ParameterGroup {
     /// Stores the values if they have changed. Returns a warning, if there is a new one.
     fn save(&self, py: Python<'_>) -> Option<String> {
         detached(py, || {
-            let _alone = self.saving.lock().unwrap_or_else(PoisonError::into_inner);
+            let _alone = lock(&self.saving);
             let mut saving = lock(&self.core).begin_saving()?;
             saving.run();
             lock(&self.core).on_saved(saving, Instant::now())

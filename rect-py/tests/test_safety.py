@@ -180,7 +180,7 @@ def test_loss_while_a_command_is_carried_out_is_repeated_after_it(pair: Pair) ->
         one.publish("drive", 1)
         lost = "no command of wombat-1 for 100 ms"
         until(lambda: entries[-1:] == [lost], lambda: entries)
-        # It waits for as long as the first one, and is none of that moment any more.
+        # It waits for as long as the first one, and is too old then.
         one.publish("drive", 2)
         time.sleep(0.2)
         continues.set()

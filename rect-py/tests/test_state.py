@@ -202,6 +202,21 @@ def test_options_are_checked(state_routers: Routers) -> None:
             one.publish("mode", 1, retained=True, expires_after=1)
 
 
+def until_advanced_subscriber_follows(stock: zenoh.Session, robot: rect.Robot, topic: str) -> None:
+    """Waits until a subscriber of zenoh-ext has the retained value `auto`, and then its change to `manual`."""
+    received: list[bytes] = []
+    advanced = zenoh.ext.declare_advanced_subscriber(
+        stock,
+        f"rect/{robot.name}/{topic}",
+        lambda sample: received.append(sample.payload.to_bytes()),
+        history=zenoh.ext.HistoryConfig(),
+    )
+    until(lambda: received == [b"auto"], lambda: received)
+    robot.publish(topic, "manual", retained=True)
+    until(lambda: received == [b"auto", b"manual"], lambda: received)
+    advanced.undeclare()
+
+
 def test_stock_tools_get_the_last_value(state_routers: Routers) -> None:
     config = zenoh.Config()
     config.insert_json5("mode", '"client"')
@@ -215,17 +230,7 @@ def test_stock_tools_get_the_last_value(state_routers: Routers) -> None:
         one.publish("stock/mode", "auto", retained=True)
         until(lambda: get("rect/wombat-1/stock/mode") == [("rect/wombat-1/stock/mode", b"auto")])
         assert get("rect/*/stock/**") == [("rect/wombat-1/stock/mode", b"auto")]
-        received: list[bytes] = []
-        advanced = zenoh.ext.declare_advanced_subscriber(
-            stock,
-            "rect/wombat-1/stock/mode",
-            lambda sample: received.append(sample.payload.to_bytes()),
-            history=zenoh.ext.HistoryConfig(),
-        )
-        until(lambda: received == [b"auto"], lambda: received)
-        one.publish("stock/mode", "manual", retained=True)
-        until(lambda: received == [b"auto", b"manual"], lambda: received)
-        advanced.undeclare()
+        until_advanced_subscriber_follows(stock, one, "stock/mode")
         one.forget("stock/mode")
         assert get("rect/wombat-1/stock/mode") == []
 
@@ -247,9 +252,7 @@ def test_subscription_that_is_replaced_at_once_gets_the_last_value(state_routers
         two.forget("again/mode")
 
 
-def test_advanced_subscriber_gets_the_last_value_of_a_robot_that_rect_init_configured(
-    state_routers: Routers, tmp_path: Path
-) -> None:
+def test_advanced_subscriber_gets_the_last_value_of_a_robot_that_rect_init_configured(tmp_path: Path) -> None:
     with initialised_routers(tmp_path) as options, ExitStack() as stack:
         one, two = (stack.enter_context(rect.connect(name, **options[name])) for name in options)
         one.publish("mode", "auto", retained=True)
@@ -263,17 +266,7 @@ def test_advanced_subscriber_gets_the_last_value_of_a_robot_that_rect_init_confi
         stock = stack.enter_context(zenoh.open(config))
         # It asks for the history once, when it is declared.
         until(lambda: any(reply.ok for reply in stock.get("rect/wombat-1/mode")))
-        received: list[bytes] = []
-        advanced = zenoh.ext.declare_advanced_subscriber(
-            stock,
-            "rect/wombat-1/mode",
-            lambda sample: received.append(sample.payload.to_bytes()),
-            history=zenoh.ext.HistoryConfig(),
-        )
-        until(lambda: received == [b"auto"], lambda: received)
-        one.publish("mode", "manual", retained=True)
-        until(lambda: received == [b"auto", b"manual"], lambda: received)
-        advanced.undeclare()
+        until_advanced_subscriber_follows(stock, one, "mode")
 
 
 def test_late_subscription_is_complete_soon(tmp_path: Path) -> None:

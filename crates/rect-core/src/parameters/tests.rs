@@ -11,7 +11,10 @@ use super::{
     order::{InForce, Order, Reset, Snapshot, Stored},
     Declaration, Parameter, Value,
 };
-use crate::message::{encoding::Encoding, payload::Payload};
+use crate::{
+    message::{encoding::Encoding, payload::Payload},
+    stream::simulation::Random,
+};
 
 fn declaration() -> Declaration {
     Declaration::new(vec![
@@ -329,19 +332,6 @@ fn the_path_follows_the_environment() {
     assert_eq!(of(&all).as_deref(), Some("/kept/wombat/drive.json"));
 }
 
-/// A small generator of numbers that depend on a seed.
-struct Random(u64);
-
-impl Random {
-    fn below(&mut self, limit: u64) -> u64 {
-        self.0 = self
-            .0
-            .wrapping_mul(6_364_136_223_846_793_005)
-            .wrapping_add(1_442_695_040_888_963_407);
-        (self.0 >> 33) % limit
-    }
-}
-
 /// Runs of a program that is killed and restarted while others change two parameters that always have the same value.
 #[test]
 fn no_setting_that_was_stored_is_lost_and_none_is_half_applied_in_1000_runs() {
@@ -349,6 +339,7 @@ fn no_setting_that_was_stored_is_lost_and_none_is_half_applied_in_1000_runs() {
     let path: PathBuf = folder.path().join("pair.json");
     for seed in 0..1000 {
         let mut random = Random(seed);
+        let mut below = |limit: u64| random.next() % limit;
         drop(fs::remove_file(&path));
         let pair = || {
             let pair = ["left", "right"].map(|name| Parameter::new(name, 0).range(0.0, 100.0));
@@ -359,12 +350,12 @@ fn no_setting_that_was_stored_is_lost_and_none_is_half_applied_in_1000_runs() {
         // The value that is in force, and the values that may be in the file: the one that was stored last, or one after it.
         let (mut current, mut stored): (i64, i64) = (0, 0);
         let mut later: Vec<i64> = Vec::new();
-        for _ in 0..8 + random.below(12) {
-            now += Duration::from_millis(random.below(400));
-            match random.below(10) {
+        for _ in 0..8 + below(12) {
+            now += Duration::from_millis(below(400));
+            match below(10) {
                 0..=5 => {
                     // Some of them are out of range.
-                    let number = i64::try_from(random.below(130)).expect("small");
+                    let number = i64::try_from(below(130)).expect("small");
                     let order = set(&[("left", number), ("right", number)]);
                     if change(&mut group, order, now).is_ok() {
                         current = number;
@@ -388,7 +379,7 @@ fn no_setting_that_was_stored_is_lost_and_none_is_half_applied_in_1000_runs() {
                 _ => {
                     // The kill may come while the file is written.
                     let saving = group.begin_saving();
-                    if let (Some(mut saving), 0) = (saving, random.below(2)) {
+                    if let (Some(mut saving), 0) = (saving, below(2)) {
                         saving.run();
                     }
                     group = pair();
