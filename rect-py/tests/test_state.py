@@ -202,17 +202,18 @@ def test_options_are_checked(state_routers: Routers) -> None:
             one.publish("mode", 1, retained=True, expires_after=1)
 
 
-def until_advanced_subscriber_follows(stock: zenoh.Session, robot: rect.Robot, topic: str) -> None:
-    """Waits until a subscriber of zenoh-ext has the retained value `auto`, and then its change to `manual`."""
+def until_advanced_subscriber_follows(stock: zenoh.Session, robot: rect.Robot) -> None:
+    """Waits until a subscriber of zenoh-ext has the retained value `auto` of `stock/mode`, and then its change to
+    `manual`."""
     received: list[bytes] = []
     advanced = zenoh.ext.declare_advanced_subscriber(
         stock,
-        f"rect/{robot.name}/{topic}",
+        "rect/wombat-1/stock/mode",
         lambda sample: received.append(sample.payload.to_bytes()),
         history=zenoh.ext.HistoryConfig(),
     )
     until(lambda: received == [b"auto"], lambda: received)
-    robot.publish(topic, "manual", retained=True)
+    robot.publish("stock/mode", "manual", retained=True)
     until(lambda: received == [b"auto", b"manual"], lambda: received)
     advanced.undeclare()
 
@@ -230,7 +231,7 @@ def test_stock_tools_get_the_last_value(state_routers: Routers) -> None:
         one.publish("stock/mode", "auto", retained=True)
         until(lambda: get("rect/wombat-1/stock/mode") == [("rect/wombat-1/stock/mode", b"auto")])
         assert get("rect/*/stock/**") == [("rect/wombat-1/stock/mode", b"auto")]
-        until_advanced_subscriber_follows(stock, one, "stock/mode")
+        until_advanced_subscriber_follows(stock, one)
         one.forget("stock/mode")
         assert get("rect/wombat-1/stock/mode") == []
 
@@ -255,7 +256,7 @@ def test_subscription_that_is_replaced_at_once_gets_the_last_value(state_routers
 def test_advanced_subscriber_gets_the_last_value_of_a_robot_that_rect_init_configured(tmp_path: Path) -> None:
     with initialised_routers(tmp_path) as options, ExitStack() as stack:
         one, two = (stack.enter_context(rect.connect(name, **options[name])) for name in options)
-        one.publish("mode", "auto", retained=True)
+        one.publish("stock/mode", "auto", retained=True)
         two.wait_for_peer("wombat-1", DEADLINE)
         user, password = Path(options["wombat-2"]["login_file"]).read_text().split()[0].split(":")
         config = zenoh.Config()
@@ -265,8 +266,8 @@ def test_advanced_subscriber_gets_the_last_value_of_a_robot_that_rect_init_confi
         config.insert_json5("transport/auth/usrpwd/password", f'"{password}"')
         stock = stack.enter_context(zenoh.open(config))
         # It asks for the history once, when it is declared.
-        until(lambda: any(reply.ok for reply in stock.get("rect/wombat-1/mode")))
-        until_advanced_subscriber_follows(stock, one, "mode")
+        until(lambda: any(reply.ok for reply in stock.get("rect/wombat-1/stock/mode")))
+        until_advanced_subscriber_follows(stock, one)
 
 
 def test_late_subscription_is_complete_soon(tmp_path: Path) -> None:
