@@ -17,7 +17,7 @@ test: ## Run the tests that every change must pass, in 25 minutes (JOBS="unit vm
 	@scripts/setup $(if $(JOBS),test-all,test)
 	@scripts/test $(JOBS)
 
-test-all: ## Run all jobs of CI, in an hour: those of make test, and the rest (scripts/test --list lists both)
+test-all: ## Run all jobs of CI, in at most 45 minutes: those of make test, and the rest (scripts/test --list lists both)
 	@scripts/setup test-all
 	@scripts/test --all
 
