@@ -5,12 +5,16 @@
 //!     RECT_UPDATE_VECTORS=1 cargo test -p rect-core --test conformance drivers    # rewrites the expectations; review the diff
 //!
 //! A scenario names the driver and lists its steps. A step calls a method (`do`) and states what it returns (`expect`).
-//! `poll_all` polls until the driver waits or has finished. Bytes are `{"text": ...}` or `{"hex": ...}`.
+//! `poll_all` polls until the driver waits or has finished. Bytes are `{"text": ...}`, `{"hex": ...}`, `{"zeros": <length>}` or
+//! `{"cbor": ...}`.
 use std::{fs, path::PathBuf};
 
 use serde_json::{json, Value};
 
+mod arguments;
+mod content;
 mod describe;
+mod program;
 mod subject;
 
 use subject::Subject;

@@ -3,29 +3,27 @@ use std::{convert::Infallible, time::Instant};
 
 use rect_core::{
     driver::{Action, Answer, Declaration, Reaction, Step, Target},
-    message::{payload::Payload, urgency::Qos},
+    message::{payload::Payload, retained, urgency::Qos, Message},
     name::Name,
     registry::{
         connection::{Connection, Event, Link},
         RegistryError,
     },
     session::{decoder::Fetched, peers::Waited},
+    state::{
+        keeper,
+        retain::{Outcome, NO_KEEPER},
+    },
     stream::frame::ReceivedFrame,
     transfer::{push::SendError, reception::Arrival, Fault, Progress},
 };
 use serde_json::{json, Value};
 
+use super::content::{self, of_bytes};
+
 /// A value that a driver delivers, or with which it finishes.
 pub trait Describe {
     fn describe(self) -> Value;
-}
-
-/// Describes bytes as text if they are printable, and otherwise in hexadecimal.
-pub fn bytes(bytes: &[u8]) -> Value {
-    match std::str::from_utf8(bytes) {
-        Ok(text) if text.chars().all(|char| !char.is_control()) => json!({ "text": text }),
-        _ => json!({ "hex": bytes.iter().map(|byte| format!("{byte:02x}")).collect::<String>() }),
-    }
 }
 
 pub fn reaction<I: Describe>(reaction: Reaction<I>) -> Value {
@@ -54,11 +52,11 @@ pub fn act(action: Action) -> Value {
             payload,
             attachment,
         } => {
-            let attachment = attachment.map(|attachment| bytes(&attachment));
+            let attachment = attachment.map(|attachment| of_bytes(&attachment));
             json!([
                 "put",
                 publisher.0,
-                bytes(&payload.bytes),
+                content::of(&payload),
                 encoding(&payload),
                 attachment
             ])
@@ -67,7 +65,7 @@ pub fn act(action: Action) -> Value {
             json!([
                 "put_once",
                 key,
-                bytes(&payload.bytes),
+                content::of(&payload),
                 encoding(&payload),
                 qos_fields(qos)
             ])
@@ -83,12 +81,18 @@ pub fn act(action: Action) -> Value {
             key,
             payload.as_ref().map(parts),
             qos_fields(qos),
-            bytes(&attachment)
+            of_bytes(&attachment)
         ]),
         Action::AnswerRetained { query, replies } => {
             let replies: Vec<_> = replies
                 .iter()
-                .map(|reply| json!([reply.key, parts(&reply.payload), bytes(&reply.attachment)]))
+                .map(|reply| {
+                    json!([
+                        reply.key,
+                        parts(&reply.payload),
+                        of_bytes(&reply.attachment)
+                    ])
+                })
                 .collect();
             json!(["answer_retained", query.0, replies])
         }
@@ -105,7 +109,7 @@ pub fn act(action: Action) -> Value {
             id.0,
             get.selector,
             get.payload.as_ref().map(parts),
-            get.attachment.map(|attachment| bytes(&attachment)),
+            get.attachment.map(|attachment| of_bytes(&attachment)),
             qos_fields(get.qos),
             get.target == Target::All,
             get.timeout.as_secs_f64(),
@@ -116,7 +120,7 @@ pub fn act(action: Action) -> Value {
                     "reply",
                     query.0,
                     key,
-                    bytes(&payload.bytes),
+                    content::of(&payload),
                     encoding(&payload)
                 ])
             }
@@ -124,7 +128,7 @@ pub fn act(action: Action) -> Value {
                 json!([
                     "reply_error",
                     query.0,
-                    bytes(&payload.bytes),
+                    content::of(&payload),
                     encoding(&payload)
                 ])
             }
@@ -165,7 +169,7 @@ fn encoding(payload: &Payload) -> &str {
 }
 
 fn parts(payload: &Payload) -> Value {
-    json!([bytes(&payload.bytes), encoding(payload)])
+    json!([content::of(payload), encoding(payload)])
 }
 
 impl Describe for Infallible {
@@ -213,7 +217,7 @@ impl Describe for Result<Payload, RegistryError> {
 impl Describe for ReceivedFrame {
     fn describe(self) -> Value {
         let age = self.age.map(|age| age.as_secs_f64());
-        let (payload, encoding) = (bytes(&self.payload.bytes), self.payload.encoding.as_str());
+        let (payload, encoding) = (content::of(&self.payload), self.payload.encoding.as_str());
         json!([self.ordinal, self.lost, self.number, age, payload, encoding])
     }
 }
@@ -249,6 +253,53 @@ impl Describe for Event {
             ]),
             Self::RouterUp => json!(["router_up"]),
             Self::RouterDown => json!(["router_down"]),
+        }
+    }
+}
+
+impl Describe for Message {
+    fn describe(self) -> Value {
+        let retained = self.retained.map(|retained| {
+            json!([
+                retained.age.as_secs_f64(),
+                retained.has_ended,
+                retained.is_forgotten
+            ])
+        });
+        let (sender, topic) = (self.sender.as_str(), self.topic.as_str());
+        json!([sender, topic, parts(&self.payload), retained])
+    }
+}
+
+impl Describe for Vec<Message> {
+    fn describe(self) -> Value {
+        self.into_iter().map(Describe::describe).collect()
+    }
+}
+
+impl Describe for Option<retained::value::Value> {
+    fn describe(self) -> Value {
+        let value = self.and_then(|value| Some(value.message(value.robot.clone()?)));
+        value.map_or(Value::Null, Describe::describe)
+    }
+}
+
+impl Describe for Outcome {
+    fn describe(self) -> Value {
+        match self {
+            Self::Kept(kept) => json!(["kept", kept.warning]),
+            Self::Refused(reason) => json!(["refused", reason]),
+            Self::NoKeeper => json!(["no_keeper", NO_KEEPER]),
+            Self::Closed => json!(["closed", null]),
+        }
+    }
+}
+
+impl Describe for keeper::Item {
+    fn describe(self) -> Value {
+        match self {
+            Self::Warning(text) => json!(text),
+            Self::Save(_) => Value::Null,
         }
     }
 }

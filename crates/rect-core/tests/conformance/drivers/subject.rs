@@ -1,7 +1,6 @@
 //! The driver of a scenario, and the calls of its steps.
 use std::time::{Duration, Instant};
 
-use bytes::Bytes;
 use rect_core::{
     catalogue::Instance,
     codec::CodecError,
@@ -21,6 +20,7 @@ use rect_core::{
         peers::{DirectPresence, EstablishedWait, PeerWait, PeersQuery},
         recipients::{Reachability, Recipients},
     },
+    state::{keeper::StateKeeper, latest::Latest},
     storage::{Files, Source, Store},
     stream::{
         options::{PartialOptions, Preset},
@@ -35,8 +35,11 @@ use rect_core::{
 use serde_json::{json, Value};
 
 use super::{
+    arguments::{self, name, number, run, text, topic},
+    content,
     describe::{self, Describe},
     nothing,
+    program::{self, Program},
 };
 
 /// The robot whose program each scenario is about.
@@ -127,7 +130,10 @@ impl Subject {
             ("on_sample", [id, key, payload, encoding, rest @ ..]) => event(Event::Sample {
                 id: Id(number(id)),
                 sample: Sample {
-                    attachment: rest.first().filter(|one| !one.is_null()).map(bytes),
+                    attachment: rest
+                        .first()
+                        .filter(|one| !one.is_null())
+                        .map(content::parse),
                     is_deleted: rest.get(1).is_some_and(|one| one == true),
                     ..sample(key, payload, encoding)
                 },
@@ -138,14 +144,14 @@ impl Subject {
             },
             ("on_error", [id, payload, encoding]) => Event::Reply {
                 id: Id(number(id)),
-                reply: Err(self::payload(payload, encoding)),
+                reply: Err(arguments::payload(payload, encoding)),
             },
             ("on_ended", [id]) => Event::Ended { id: Id(number(id)) },
-            ("on_query", [id, query, payload, encoding]) => Event::Query {
+            ("on_query", [id, query, payload, encoding, rest @ ..]) => Event::Query {
                 id: Id(number(id)),
                 query: QueryId(number(query)),
-                key: String::new(),
-                payload: self::payload(payload, encoding),
+                key: rest.first().map(text).unwrap_or_default().to_owned(),
+                payload: arguments::payload(payload, encoding),
                 attachment: None,
             },
             ("on_matching", [id, matching]) => Event::Matching {
@@ -231,6 +237,18 @@ fn make(driver: &Value, now: Instant) -> Box<dyn Described> {
             ))
         }
         "stream_publish" => stream_publish(driver, &place, now),
+        "state_keeper" => plain(StateKeeper::of_program(place, run(driver), now)),
+        "program_state" => {
+            let program = Program::new(place, run(driver), now);
+            Box::new(With(program, Program::call))
+        }
+        "retain" => plain(program::retain(&place, driver, now)),
+        "latest" => plain(Latest::new(
+            place,
+            name(of("robot")),
+            topic(of("topic")),
+            timeout,
+        )),
         "transfer_push" => transfer_push(driver, &place, now),
         "transfer_pull" => transfer_pull(driver, &place, now, timeout),
         "transfer_reception" => {
@@ -272,7 +290,7 @@ fn stream_publish(driver: &Value, place: &KeySpace, now: Instant) -> Box<dyn Des
         let ("send", [payload, encoding]) = (name, arguments) else {
             panic!("no call {name}");
         };
-        let payload = self::payload(payload, encoding);
+        let payload = arguments::payload(payload, encoding);
         let jobs = driver.offer(payload.bytes.len(), now);
         let frames = jobs
             .into_iter()
@@ -283,7 +301,7 @@ fn stream_publish(driver: &Value, place: &KeySpace, now: Instant) -> Box<dyn Des
 }
 
 fn transfer_push(driver: &Value, place: &KeySpace, now: Instant) -> Box<dyn Described> {
-    let mut source = Source::of_bytes(bytes(&driver["bytes"]));
+    let mut source = Source::of_bytes(content::parse(&driver["bytes"]));
     let offer = offer(
         driver,
         &place.robot,
@@ -314,7 +332,7 @@ fn transfer_pull(
     now: Instant,
     timeout: Duration,
 ) -> Box<dyn Described> {
-    let content = bytes(&driver["bytes"]);
+    let content = content::parse(&driver["bytes"]);
     let sender = name(text(&driver["sender"]));
     let offer = offer(
         driver,
@@ -357,41 +375,8 @@ fn offer(driver: &Value, sender: &Name, checksum: &Checksum, size_bytes: u64) ->
 fn sample(key: &Value, payload: &Value, encoding: &Value) -> Sample {
     Sample {
         key: text(key).to_owned(),
-        payload: self::payload(payload, encoding),
+        payload: arguments::payload(payload, encoding),
         attachment: None,
         is_deleted: false,
     }
-}
-
-fn payload(payload: &Value, encoding: &Value) -> Payload {
-    Payload::new(bytes(payload), Encoding::new(text(encoding).to_owned()))
-}
-
-fn bytes(value: &Value) -> Bytes {
-    if let Some(text) = value["text"].as_str() {
-        return Bytes::copy_from_slice(text.as_bytes());
-    }
-    let hex = text(&value["hex"]).as_bytes().chunks(2);
-    let byte = |pair| u8::from_str_radix(std::str::from_utf8(pair).expect("hex"), 16);
-    hex.map(|pair| byte(pair).expect("hex")).collect()
-}
-
-fn text(value: &Value) -> &str {
-    value
-        .as_str()
-        .unwrap_or_else(|| panic!("{value} is not a text"))
-}
-
-fn number(value: &Value) -> u64 {
-    value
-        .as_u64()
-        .unwrap_or_else(|| panic!("{value} is not a number"))
-}
-
-fn name(text: &str) -> Name {
-    Name::new(text).expect("a name")
-}
-
-fn topic(text: &str) -> Topic {
-    Topic::new(text).expect("a topic")
 }

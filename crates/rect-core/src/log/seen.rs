@@ -1,0 +1,96 @@
+//! The lines of a robot that this computer has seen, for the time when the robot is silent: a file in JSON Lines.
+use std::{collections::VecDeque, io, path::Path};
+
+use serde::{Deserialize, Serialize};
+
+use super::page::Kept;
+use crate::storage::ReplacedFile;
+
+/// The maximum number of lines in the file.
+const MAX_LINES: usize = 2000;
+/// The maximum size of the file, in bytes; a larger one is not read.
+const MAX_BYTES: u64 = 16 << 20;
+
+/// A line, and when it was seen.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SeenLine {
+    /// When this computer has received it, in milliseconds since 1970.
+    pub seen: u64,
+    /// The line.
+    #[serde(flatten)]
+    pub kept: Kept,
+}
+
+/// The last lines of a robot that this computer has seen.
+#[derive(Debug)]
+pub struct SeenLog {
+    file: ReplacedFile,
+    lines: VecDeque<SeenLine>,
+    is_changed: bool,
+}
+
+impl SeenLog {
+    /// Reads the file at `path`, if there is one. Lines that cannot be read are skipped.
+    ///
+    /// # Errors
+    /// Fails if there is a file that cannot be read.
+    pub fn open(path: &Path) -> io::Result<Self> {
+        let file = ReplacedFile::new(path);
+        let text = file.read(MAX_BYTES)?;
+        let lines = text
+            .lines()
+            .filter_map(|line| serde_json::from_str(line).ok());
+        Ok(Self {
+            lines: lines.collect(),
+            file,
+            is_changed: false,
+        })
+    }
+
+    /// Returns the lines, the oldest one first.
+    pub fn lines(&self) -> impl DoubleEndedIterator<Item = &SeenLine> {
+        self.lines.iter()
+    }
+
+    /// Adds lines, except those that it has.
+    pub fn add(&mut self, lines: &[Kept], now_ms: u64) {
+        for kept in lines {
+            let is_known = self.lines.iter().rev().any(|seen| seen.kept == *kept);
+            if !is_known {
+                let kept = kept.clone();
+                let at = kept.line.at;
+                let place = self
+                    .lines
+                    .iter()
+                    .rposition(|seen| seen.kept.line.at <= at)
+                    .map_or(0, |place| place + 1);
+                self.lines.insert(place, SeenLine { seen: now_ms, kept });
+                self.is_changed = true;
+            }
+        }
+        while self.lines.len() > MAX_LINES {
+            self.lines.pop_front();
+        }
+    }
+
+    /// Writes the file, if lines were added.
+    ///
+    /// # Errors
+    /// Fails if its folder cannot be made or the file cannot be written.
+    pub fn save(&mut self) -> io::Result<()> {
+        if !self.is_changed {
+            return Ok(());
+        }
+        if let Some(folder) = self.file.path().parent() {
+            std::fs::create_dir_all(folder)?;
+        }
+        let mut text = Vec::new();
+        for line in &self.lines {
+            serde_json::to_writer(&mut text, line)?;
+            text.push(b'\n');
+        }
+        self.file.replace(text)?;
+        self.is_changed = false;
+        Ok(())
+    }
+}
