@@ -3,7 +3,7 @@
 use std::{sync::Arc, time::Instant};
 
 use parking_lot::Mutex;
-use rect::KeptState;
+use rect::{KeptLog, KeptState};
 use rect_connections::{AutoConnect, MAX_AUTO_LINKS};
 use rect_core::{
     catalogue::keeper::Keeper,
@@ -38,6 +38,7 @@ pub struct RunningServices {
     _watching: Option<FileWatch>,
     _registry: Registry,
     _state: Arc<KeptState>,
+    _log: KeptLog,
 }
 
 impl Drop for RunningServices {
@@ -137,6 +138,7 @@ impl RobotServices {
             let state = retaining.upgrade();
             state.is_some_and(|state| state.has(topic))
         };
+        let log = KeptLog::start(session, place.clone())?;
         catalogue::serve(session, &place, &programs, Box::new(is_retained))?;
         let (connections, fleet) = (self.connections.clone(), Arc::clone(&self.fleet));
         let registry = Registry::serve(session, host, own, settings, self.connections, self.fleet)?;
@@ -146,6 +148,7 @@ impl RobotServices {
             _watching: watching,
             _registry: registry,
             _state: state,
+            _log: log,
         })
     }
 }

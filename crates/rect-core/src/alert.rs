@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 use crate::{
     log::{clean, level::Level},
     message::{encoding::Encoding, payload::Payload},
-    name::topic::Topic,
+    name::topic::{Topic, TopicError},
 };
 
 /// The beginning of the topics of alerts.
@@ -31,11 +31,6 @@ pub struct Alert {
     pub program: String,
 }
 
-/// The text of an alert has neither a letter nor a digit.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} has neither a letter nor a digit: say what is wrong, such as \"battery low\"")]
-pub struct AlertError(String);
-
 impl Alert {
     /// Returns the alert as bytes.
     pub fn write(&self) -> Payload {
@@ -59,7 +54,7 @@ impl Alert {
 ///
 /// # Errors
 /// Fails if it has neither a letter nor a digit.
-pub fn topic(text: &str) -> Result<Topic, AlertError> {
+pub fn topic(text: &str) -> Result<Topic, TopicError> {
     let lower = text.to_lowercase();
     let words = lower.split(|c: char| !c.is_alphanumeric());
     let mut name = String::new();
@@ -72,11 +67,13 @@ pub fn topic(text: &str) -> Result<Topic, AlertError> {
         }
         name.extend(word.chars().take(MAX_NAME / 4));
     }
-    let error = || AlertError(text.chars().take(MAX_NAME).collect());
     if name.is_empty() {
-        return Err(error());
+        return Err(TopicError::Invalid {
+            topic: text.chars().take(MAX_NAME).collect(),
+            reason: "an alert is a text with letters or digits, such as `battery low`".to_owned(),
+        });
     }
-    Topic::new(&format!("{ALERTS}{name}")).map_err(|_| error())
+    Topic::new(&format!("{ALERTS}{name}"))
 }
 
 #[cfg(test)]

@@ -36,9 +36,9 @@ pub use self::{
 };
 use crate::{
     session, Connection, Counters, Deadman, Error, Event, FromPayload, Gathered, GroupOptions,
-    Message, Name, NamedConnection, Options, ParameterGroup, ParameterOrder, ParameterValue,
-    Pattern, Payload, Program, QueueOptions, Reply, Service, ServiceEntry, ServiceOptions,
-    ToPayload, Topic, Urgency,
+    Level, LogItem, LogLine, LogOptions, Message, Name, NamedConnection, Options, ParameterGroup,
+    ParameterOrder, ParameterValue, Pattern, Payload, Program, QueueOptions, Reply, Service,
+    ServiceEntry, ServiceOptions, ToPayload, Topic, Urgency,
 };
 use rect_core::codec::{dictionary::Dictionary, Codec};
 
@@ -67,6 +67,13 @@ pub struct Subscriber<T: FromPayload = Payload> {
 #[derive(Debug)]
 pub struct Replies<T: FromPayload = Payload> {
     replies: session::Replies<T>,
+    runtime: Arc<Runtime>,
+}
+
+/// Receives the lines of logs; created by [`Robot::logs`]. The iterator blocks until the next ones.
+#[derive(Debug)]
+pub struct Logs {
+    logs: session::Logs,
     runtime: Arc<Runtime>,
 }
 
@@ -603,6 +610,61 @@ impl Robot {
         })
     }
 
+    /// Logs a line; see [`crate::Robot::log`].
+    pub fn log(&self, level: Level, text: impl Into<String>) {
+        self.robot.log(level, text);
+    }
+
+    /// Logs a line with everything that belongs to it; see [`crate::Robot::log_line`].
+    pub fn log_line(&self, line: LogLine) {
+        self.robot.log_line(line);
+    }
+
+    /// Logs a line that stays on this robot; see [`crate::Robot::log_private`].
+    pub fn log_private(&self, line: LogLine) {
+        self.robot.log_private(line);
+    }
+
+    /// Reads the log of a robot, or of all robots (`*`); see [`crate::Robot::logs`].
+    ///
+    /// # Errors
+    /// Returns the same errors.
+    pub fn logs(&self, robot: &str, options: LogOptions) -> Result<Logs, Error> {
+        Ok(Logs {
+            logs: self.runtime.wait(self.robot.logs(robot, options))?,
+            runtime: self.runtime.clone(),
+        })
+    }
+
+    /// Raises an alert; see [`crate::Robot::alert`].
+    ///
+    /// # Errors
+    /// Returns the same errors.
+    pub fn alert(&self, level: Level, text: &str) -> Result<(), Error> {
+        self.runtime.wait(self.robot.alert(level, text))
+    }
+
+    /// Raises an alert under a name of its own; see [`crate::Robot::alert_named`].
+    ///
+    /// # Errors
+    /// Returns the same errors.
+    pub fn alert_named(&self, name: &str, level: Level, text: &str) -> Result<(), Error> {
+        self.runtime.wait(self.robot.alert_named(name, level, text))
+    }
+
+    /// Clears the alert with this name or text; see [`crate::Robot::clear_alert`].
+    ///
+    /// # Errors
+    /// Returns the same errors.
+    pub fn clear_alert(&self, name: &str) -> Result<(), Error> {
+        self.runtime.wait(self.robot.clear_alert(name))
+    }
+
+    /// Returns the handle of the async API, for [`crate::LogLayer`].
+    pub fn as_async(&self) -> &crate::Robot {
+        &self.robot
+    }
+
     /// Returns the counters of this session: messages and bytes sent and received, and messages missed and rejected.
     pub fn counters(&self) -> Counters {
         self.robot.counters()
@@ -655,6 +717,14 @@ impl<T: FromPayload> Iterator for Replies<T> {
 
     fn next(&mut self) -> Option<Self::Item> {
         self.runtime.wait(self.replies.next())
+    }
+}
+
+impl Iterator for Logs {
+    type Item = LogItem;
+
+    fn next(&mut self) -> Option<LogItem> {
+        self.runtime.wait(self.logs.next())
     }
 }
 

@@ -25,6 +25,7 @@ pub use error::Error;
 pub use session::*;
 
 pub use rect_core::{
+    alert::Alert,
     catalogue::{Program, ServiceEntry},
     codec,
     codec::{
@@ -32,6 +33,12 @@ pub use rect_core::{
         dictionary::{Dictionary, DictionaryError},
         picture::{Format, Picture},
         Codec, CodecError,
+    },
+    log::{
+        level::{Level, LevelError},
+        line::Line as LogLine,
+        page::Kept as KeptLine,
+        reader::Item as LogItem,
     },
     message::{
         counters::Counters,

@@ -1,5 +1,6 @@
 //! Implements sessions on Zenoh: robots, subscribers, services, streams and transfers. The protocol's decisions are made in
 //! the [core](rect_core); this module connects them to Zenoh and to the program.
+mod alert;
 mod connect;
 mod convert;
 mod deadman;
@@ -8,6 +9,7 @@ mod decoder;
 mod events;
 mod executor;
 mod gathered;
+mod log;
 mod name_check;
 mod next_item;
 mod options;
@@ -47,6 +49,9 @@ pub use deadman::Deadman;
 pub use deadman::{DeadmanCall, DeadmanCalls};
 pub use events::Events;
 pub use gathered::{Gathered, Outcome};
+#[doc(hidden)]
+pub use log::KeptLog;
+pub use log::{LogLayer, LogOptions, Logs};
 pub use options::{connect, Options};
 pub use parameters::{GroupOptions, ParameterField, ParameterGroup, ParameterOrder, Parameters};
 pub use publisher::Publisher;

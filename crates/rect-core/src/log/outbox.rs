@@ -14,7 +14,7 @@ use crate::{
 const MAX_WAITING: usize = 512 << 10;
 /// The size at which a batch ends, in bytes of its lines.
 const BATCH: usize = 64 << 10;
-/// How long a line waits for others that share its batch.
+/// The least time between two batches. Lines that are logged meanwhile share the second one.
 const TOGETHER: Duration = Duration::from_millis(20);
 
 const PUBLISHER: Id = Id(0);
@@ -31,6 +31,8 @@ pub struct Outbox {
     first: u64,
     lost: u64,
     send_at: Option<Instant>,
+    /// The earliest time of the next batch.
+    not_before: Option<Instant>,
     is_declared: bool,
     is_closed: bool,
 }
@@ -47,6 +49,7 @@ impl Outbox {
             first: 0,
             lost: 0,
             send_at: None,
+            not_before: None,
             is_declared: false,
             is_closed: false,
         }
@@ -69,7 +72,8 @@ impl Outbox {
             }
         }
         let is_first = self.send_at.is_none();
-        self.send_at.get_or_insert(now + TOGETHER);
+        let earliest = self.not_before.map_or(now, |at| at.max(now));
+        self.send_at.get_or_insert(earliest);
         is_first
     }
 
@@ -154,6 +158,7 @@ impl Driver for Outbox {
                 }),
                 None => {
                     self.send_at = None;
+                    self.not_before = Some(now + TOGETHER);
                     Step::Wait(None)
                 }
             },

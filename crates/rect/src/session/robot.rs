@@ -2,7 +2,7 @@
 use std::{
     any::Any,
     fmt,
-    sync::{Arc, Mutex, MutexGuard, PoisonError, Weak},
+    sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError, Weak},
     time::{Duration, Instant, SystemTime},
 };
 
@@ -30,6 +30,7 @@ use zenoh::{query::Query, Config, Session};
 use super::{
     decoder::Decoder,
     executor::{Executor, Running},
+    log::{KeptLog, OwnLog},
     publication::{Publication, Put},
     querier::Querier,
     recipients::Recipients,
@@ -78,10 +79,12 @@ pub(super) struct Inner {
     /// The requests that this program carries out at most once.
     pub(super) once: Once<Query>,
     recipients: OnceCell<Recipients>,
+    /// The lines that this program logs, since the first one.
+    pub(super) log: OnceLock<OwnLog>,
     /// The retained messages of this program.
     pub(super) state: Arc<State>,
-    /// The state of the robot; `None` if its router keeps it.
-    _kept: Option<KeptState>,
+    /// The state and the log of the robot; `None` if its router keeps them.
+    _kept: Option<(KeptState, KeptLog)>,
     /// The part of this program in the stop of the fleet, which is above this module.
     pub(super) stop: tokio::sync::Mutex<Weak<dyn Any + Send + Sync>>,
     /// The presence of this program.
@@ -114,8 +117,11 @@ impl Robot {
             (None, Some(links))
         };
         let instance: u32 = rand::random();
-        let kept = direct.then(|| KeptState::of_program(&session, place.clone()));
-        let kept = kept.transpose()?;
+        let keep = || {
+            let state = KeptState::of_program(&session, place.clone())?;
+            Ok::<_, Error>((state, KeptLog::start(&session, place.clone())?))
+        };
+        let kept = direct.then(keep).transpose()?;
         let state = State::new(&session, &place, instance);
         let request_ids = RequestIds::new(Instance(instance), program.is_some());
         let once = Once::new(place.robot.clone(), Instance(instance));
@@ -139,6 +145,7 @@ impl Robot {
             request_ids,
             once,
             recipients: OnceCell::new(),
+            log: OnceLock::new(),
             state,
             _kept: kept,
             stop: tokio::sync::Mutex::new(Weak::<()>::new()),
@@ -375,6 +382,7 @@ impl Robot {
     /// # Cancel safety
     /// If the future is dropped, the session may be closed or not. Call it again.
     pub async fn close(&self) -> Result<(), Error> {
+        self.flush_log().await;
         let closed = self.inner.urgency_sessions.close().await;
         closed.map_err(Error::zenoh("cannot close the session"))
     }

@@ -1,0 +1,111 @@
+//! Logs lines of the program, and reads those of others.
+mod layer;
+mod reading;
+
+pub use layer::LogLayer;
+pub use reading::{LogOptions, Logs};
+
+use std::{
+    sync::Arc,
+    time::{Duration, Instant, SystemTime},
+};
+
+use rect_core::{
+    clock::unix::ms_since_1970,
+    driver::Event,
+    log::{keeper::LogKeeper, level::Level, line::Line, outbox::Outbox},
+    name::key::KeySpace,
+};
+use zenoh::Session;
+
+use super::{
+    executor::{Executor, Running},
+    robot::Robot,
+    shared::{NoItems, Shared},
+};
+use crate::error::Error;
+
+/// How long the end of a session waits for the last lines.
+const LAST_LINES: Duration = Duration::from_millis(200);
+/// The interval at which that is checked.
+const CHECK_EVERY: Duration = Duration::from_millis(5);
+
+impl Robot {
+    /// Logs a line, which the router of this robot keeps: `rect log` shows it, also after this program has ended.
+    ///
+    /// It never waits and never fails. A router keeps the last 1,000 lines of each program, and 2 MB in all. A program that logs faster
+    /// than that can be sent loses lines, which are counted in the log. A text has 8 kB at most; a longer one is cut.
+    ///
+    /// ```no_run
+    /// # fn log(robot: rect::Robot) {
+    /// robot.log(rect::Level::Warn, "the gripper is slow");
+    /// # }
+    /// ```
+    pub fn log(&self, level: Level, text: impl Into<String>) {
+        let now_ms = ms_since_1970(SystemTime::now());
+        self.log_line(Line::new(now_ms, level, text));
+    }
+
+    /// Logs a line with everything that belongs to it, as [`log`](Self::log) does.
+    pub fn log_line(&self, line: Line) {
+        self.give_line(line, false);
+    }
+
+    /// Logs a line that stays on this robot: access control does not let other robots read it. For what may contain paths or passwords.
+    pub fn log_private(&self, line: Line) {
+        self.give_line(line, true);
+    }
+
+    fn give_line(&self, line: Line, is_private: bool) {
+        let inner = &self.inner;
+        let start = || {
+            let program = inner.program.driver().program().clone();
+            let outbox = Outbox::new(&inner.place, program.name.as_ref(), program.instance.0);
+            let executor = Executor::new(&inner.session, outbox, NoItems);
+            executor.start(&inner.runtime).ok()
+        };
+        if let Some(outbox) = inner.log.get_or_init(start) {
+            if (outbox.driver()).log(line, is_private, Instant::now()) {
+                outbox.wake();
+            }
+        }
+    }
+
+    /// Waits until the last lines of the program were sent, for a moment at most.
+    pub(super) async fn flush_log(&self) {
+        let Some(Some(outbox)) = self.inner.log.get() else {
+            return;
+        };
+        outbox.driver().flush(Instant::now());
+        outbox.wake();
+        let until = Instant::now() + LAST_LINES;
+        while !outbox.driver().is_empty() && Instant::now() < until {
+            tokio::time::sleep(CHECK_EVERY).await;
+        }
+    }
+}
+
+/// The log of a program.
+pub(super) type OwnLog = Option<Running<Outbox>>;
+
+/// The log of a robot, which is kept until this is dropped. For routers; a program without a router has one of its own.
+#[doc(hidden)]
+pub struct KeptLog(Arc<Shared<LogKeeper>>);
+
+impl KeptLog {
+    /// Begins to keep the lines of the programs of the robot of `place`, on a thread.
+    ///
+    /// # Errors
+    /// [`Error::Zenoh`] if Zenoh refuses a declaration.
+    pub fn start(session: &Session, place: KeySpace) -> Result<Self, Error> {
+        let keeper = LogKeeper::new(place, rand::random());
+        let executor = Executor::new(session, keeper, NoItems);
+        Ok(Self(executor.start_thread("log")?))
+    }
+}
+
+impl Drop for KeptLog {
+    fn drop(&mut self) {
+        self.0.on_event(Event::Closed);
+    }
+}
