@@ -23,8 +23,7 @@ import zenoh as stock
 
 from rect import _rect
 from rect import robot as blocking
-from rect.aio_safety import Deadman as Deadman
-from rect.aio_safety import FleetStop as FleetStop
+from rect.aio_safety import Deadman, FleetStop
 from rect.choices import Urgency, WhenFull
 from rect.deadline import Deadline
 from rect.deadman import DeadmanExecutor
@@ -59,6 +58,25 @@ from rect.values import codec_of, payload_of
 H = TypeVar("H", bound="_Handle")
 _LOG = logging.getLogger("rect")
 Handler = Callable[[Request[Any]], Any]
+
+__all__ = [
+    "Connecting",
+    "Deadman",
+    "Events",
+    "FleetStop",
+    "Handler",
+    "ParameterGroup",
+    "Publisher",
+    "Replies",
+    "Robot",
+    "Service",
+    "StreamSender",
+    "Subscriber",
+    "Subscription",
+    "Transfers",
+    "Watcher",
+    "connect",
+]
 
 
 def connect(
