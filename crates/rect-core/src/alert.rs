@@ -1,4 +1,6 @@
 //! Alerts of a robot: what is wrong until somebody clears it. Each one is a retained topic, `alerts/<name>`.
+pub mod query;
+
 use serde::{Deserialize, Serialize};
 
 use crate::{

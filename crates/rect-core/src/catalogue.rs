@@ -237,6 +237,9 @@ const UNNAMED: [&str; 9] = [
     "rect",
 ];
 
+/// The environment variable with the name of a program, which `rect run` sets.
+pub const PROGRAM_VARIABLE: &str = "RECT_PROGRAM";
+
 /// Returns the name of a program whose executable or script is `file`. `None` for interpreters and test runners, and if nothing of a
 /// name remains. Characters that names do not allow become `-`.
 pub fn program_name(file: &str) -> Option<Name> {

@@ -5,11 +5,13 @@ mod files;
 pub mod regular_file;
 mod replaced_file;
 mod source;
+mod state_folder;
 mod store;
 
 pub use files::{Concluded, Files};
 pub use replaced_file::ReplacedFile;
 pub use source::Source;
+pub use state_folder::state_folder;
 pub use store::{Content, Store};
 
 use std::{

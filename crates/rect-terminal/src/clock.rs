@@ -18,6 +18,16 @@ pub fn time_of_day(at: SystemTime) -> String {
     )
 }
 
+/// Returns the date, such as `2026-11-26`, in the local time zone, or an empty text if the time zone is unknown.
+pub fn date(at: SystemTime) -> String {
+    let since = at.duration_since(UNIX_EPOCH).unwrap_or_default();
+    let time = i64::try_from(since.as_secs()).ok().and_then(local);
+    time.map_or_else(String::new, |time| {
+        let (year, month, day) = (1900 + time.tm_year, time.tm_mon + 1, time.tm_mday);
+        format!("{year}-{month:02}-{day:02}")
+    })
+}
+
 /// Returns date and time for a file name, such as `2026-11-26-14-03-07`, in the local time zone, or the seconds since 1970
 /// if the time zone is unknown.
 pub fn file_name(at: SystemTime) -> String {
@@ -26,10 +36,8 @@ pub fn file_name(at: SystemTime) -> String {
     let Some(time) = local(seconds) else {
         return seconds.to_string();
     };
-    let date = [1900 + time.tm_year, time.tm_mon + 1, time.tm_mday];
     let [hours, minutes, seconds] = [time.tm_hour, time.tm_min, time.tm_sec];
-    let [year, month, day] = date;
-    format!("{year}-{month:02}-{day:02}-{hours:02}-{minutes:02}-{seconds:02}")
+    format!("{}-{hours:02}-{minutes:02}-{seconds:02}", date(at))
 }
 
 /// Returns date and time in the local time zone; `None` if the system does not know it.

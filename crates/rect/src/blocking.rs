@@ -37,8 +37,8 @@ pub use self::{
 use crate::{
     session, Connection, Counters, Deadman, Error, Event, FromPayload, Gathered, GroupOptions,
     Level, LogItem, LogLine, LogOptions, Message, Name, NamedConnection, Options, ParameterGroup,
-    ParameterOrder, ParameterValue, Pattern, Payload, Program, QueueOptions, Reply, Service,
-    ServiceEntry, ServiceOptions, ToPayload, Topic, Urgency,
+    ParameterOrder, ParameterValue, Pattern, Payload, Program, QueueOptions, Reply, RobotAlert,
+    Service, ServiceEntry, ServiceOptions, ToPayload, Topic, Urgency,
 };
 use rect_core::codec::{dictionary::Dictionary, Codec};
 
@@ -650,6 +650,14 @@ impl Robot {
     /// Returns the same errors.
     pub fn alert_named(&self, name: &str, level: Level, text: &str) -> Result<(), Error> {
         self.runtime.wait(self.robot.alert_named(name, level, text))
+    }
+
+    /// Returns the alerts of a robot, or of all robots that can be reached (`None`); see [`crate::Robot::alerts`].
+    ///
+    /// # Errors
+    /// Returns the same errors.
+    pub fn alerts(&self, robot: Option<Name>) -> Result<Vec<RobotAlert>, Error> {
+        self.runtime.wait(self.robot.alerts(robot))
     }
 
     /// Clears the alert with this name or text; see [`crate::Robot::clear_alert`].

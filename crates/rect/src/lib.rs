@@ -25,7 +25,7 @@ pub use error::Error;
 pub use session::*;
 
 pub use rect_core::{
-    alert::Alert,
+    alert::{query::RobotAlert, Alert},
     catalogue::{Program, ServiceEntry},
     codec,
     codec::{

@@ -51,7 +51,7 @@ pub use events::Events;
 pub use gathered::{Gathered, Outcome};
 #[doc(hidden)]
 pub use log::KeptLog;
-pub use log::{LogLayer, LogOptions, Logs};
+pub use log::{LogLayer, LogOptions, Logs, ProgramLog};
 pub use options::{connect, Options};
 pub use parameters::{GroupOptions, ParameterField, ParameterGroup, ParameterOrder, Parameters};
 pub use publisher::Publisher;

@@ -55,6 +55,8 @@ pub enum Item {
         /// Whether they are newer than all lines of that robot before. Otherwise they are older.
         is_new: bool,
     },
+    /// All routers have answered that can be reached: the lines that follow are new.
+    Complete,
     /// New lines of a robot were missed, because its program logged faster than the link carries.
     Missed(Name),
 }
@@ -70,6 +72,7 @@ pub struct LogReader {
     asked: BTreeMap<Id, Asked>,
     next: u64,
     actions: VecDeque<Action>,
+    is_complete: bool,
     is_closed: bool,
 }
 
@@ -125,6 +128,7 @@ impl LogReader {
             asked: BTreeMap::new(),
             next: FIRST,
             actions: VecDeque::new(),
+            is_complete: false,
             is_closed: false,
             place,
             reading,
@@ -369,7 +373,11 @@ impl Driver for LogReader {
         }
         match self.actions.pop_front() {
             Some(action) => Step::Act(action),
-            None if self.asked.is_empty() && !self.reading.follow => Step::Finished(()),
+            None if self.asked.is_empty() && !self.is_complete => {
+                self.is_complete = true;
+                Step::Deliver(Item::Complete)
+            }
+            None if self.is_complete && !self.reading.follow => Step::Finished(()),
             None => Step::Wait(None),
         }
     }

@@ -1,15 +1,34 @@
 //! The lines of a robot that this computer has seen, for the time when the robot is silent: a file in JSON Lines.
-use std::{collections::VecDeque, io, path::Path};
+use std::{
+    collections::VecDeque,
+    ffi::OsString,
+    io,
+    path::{Path, PathBuf},
+};
 
 use serde::{Deserialize, Serialize};
 
 use super::page::Kept;
-use crate::storage::ReplacedFile;
+use crate::{
+    name::Name,
+    storage::{state_folder, ReplacedFile},
+};
 
 /// The maximum number of lines in the file.
 const MAX_LINES: usize = 2000;
 /// The maximum size of the file, in bytes; a larger one is not read.
 const MAX_BYTES: u64 = 16 << 20;
+
+/// Returns the path of the file of a robot: `log/<fleet>/<robot>.jsonl` in the [folder](state_folder) of the user's state. `None` if there
+/// is none. `variable` returns an environment variable.
+pub fn path(
+    fleet: &Name,
+    robot: &Name,
+    variable: impl Fn(&str) -> Option<OsString>,
+) -> Option<PathBuf> {
+    let folder = state_folder("log", variable)?;
+    Some(folder.join(fleet.as_str()).join(format!("{robot}.jsonl")))
+}
 
 /// A line, and when it was seen.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

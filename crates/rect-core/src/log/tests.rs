@@ -123,6 +123,7 @@ impl World {
                             .keeper
                             .on_event(self.now, Event::Matching { id, matching: true });
                     }
+                    Step::Deliver(item) => self.items.push(item),
                     Step::Finished(()) => {
                         self.is_finished = true;
                         return;
@@ -406,7 +407,8 @@ fn hostile_pages_and_batches_are_bounded() {
         match reader.poll(now) {
             Step::Act(Action::Get { id: next, .. }) => id = next,
             step => {
-                assert_eq!(step, Step::Finished(()));
+                assert_eq!(step, Step::Deliver(Item::Complete));
+                assert_eq!(reader.poll(now), Step::Finished(()));
                 break;
             }
         }

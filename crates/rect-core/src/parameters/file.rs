@@ -12,7 +12,7 @@ use serde::{
 use serde_json::{Map, Value as Json};
 
 use super::{Declaration, Value, Values, MAX_BYTES};
-use crate::storage::ReplacedFile;
+use crate::storage::{state_folder, ReplacedFile};
 
 /// The maximum size of a file, in bytes.
 const MAX_FILE: u64 = 4 * MAX_BYTES as u64;
@@ -35,13 +35,9 @@ pub fn path(
     group: &str,
     variable: impl Fn(&str) -> Option<std::ffi::OsString>,
 ) -> Option<PathBuf> {
-    let variable = |name: &str| variable(name).filter(|value| !value.is_empty());
-    let state = || {
-        let home = || Some(PathBuf::from(variable("HOME")?).join(".local/state"));
-        let state = variable("XDG_STATE_HOME").map(PathBuf::from).or_else(home);
-        Some(state?.join("rect/parameters"))
-    };
-    let folder = variable("RECT_PARAMETERS").map(PathBuf::from);
+    let folder = variable("RECT_PARAMETERS").filter(|value| !value.is_empty());
+    let folder = folder.map(PathBuf::from);
+    let state = || state_folder("parameters", variable);
     Some(
         folder
             .or_else(state)?

@@ -158,7 +158,7 @@ pub struct Page {
 }
 
 /// Writes a question, an order or an answer.
-pub(super) fn write<T: Serialize>(document: &T) -> Payload {
+pub(crate) fn write<T: Serialize>(document: &T) -> Payload {
     let mut bytes = Vec::new();
     // Writing to memory does not fail.
     let _ = ciborium::into_writer(document, &mut bytes);

@@ -2,12 +2,17 @@
 use std::time::SystemTime;
 
 use rect_core::{
-    alert::{self, Alert},
+    alert::{
+        self,
+        query::{AlertsQuery, RobotAlert},
+        Alert,
+    },
     clock::unix::ms_since_1970,
     log::level::Level,
+    name::Name,
 };
 
-use super::robot::Robot;
+use super::{executor::Executor, robot::Robot, shared::NoItems};
 use crate::error::Error;
 
 impl Robot {
@@ -51,6 +56,21 @@ impl Robot {
         };
         let topic = alert::topic(name)?;
         self.retained().publish(topic, alert.write()).await
+    }
+
+    /// Returns the alerts of a robot, or of all robots that can be reached (`None`).
+    ///
+    /// # Errors
+    /// [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// Dropping the future has no effect.
+    pub async fn alerts(&self, robot: Option<Name>) -> Result<Vec<RobotAlert>, Error> {
+        let query = AlertsQuery::new(self.inner.place.clone(), robot, self.timeout);
+        let found = Executor::new(&self.inner.session, query, NoItems)
+            .run()
+            .await?;
+        found.ok_or(Error::Closed)
     }
 
     /// Clears the alert with this name or text. Nothing happens if it was not raised.

@@ -6,6 +6,7 @@ pub use layer::LogLayer;
 pub use reading::{LogOptions, Logs};
 
 use std::{
+    fmt,
     sync::Arc,
     time::{Duration, Instant, SystemTime},
 };
@@ -14,7 +15,7 @@ use rect_core::{
     clock::unix::ms_since_1970,
     driver::Event,
     log::{keeper::LogKeeper, level::Level, line::Line, outbox::Outbox},
-    name::key::KeySpace,
+    name::{key::KeySpace, Name},
 };
 use zenoh::Session;
 
@@ -60,33 +61,66 @@ impl Robot {
         let inner = &self.inner;
         let start = || {
             let program = inner.program.driver().program().clone();
-            let outbox = Outbox::new(&inner.place, program.name.as_ref(), program.instance.0);
-            let executor = Executor::new(&inner.session, outbox, NoItems);
-            executor.start(&inner.runtime).ok()
+            ProgramLog::start(self, program.name.as_ref(), program.instance.0).ok()
         };
-        if let Some(outbox) = inner.log.get_or_init(start) {
-            if (outbox.driver()).log(line, is_private, Instant::now()) {
-                outbox.wake();
-            }
+        if let Some(log) = inner.log.get_or_init(start) {
+            log.log(line, is_private);
         }
+    }
+
+    /// Returns the log of a program of this robot that does not use RECT itself, for those who run it.
+    ///
+    /// # Errors
+    /// [`Error::Closed`] if the session is closed.
+    pub fn log_of(&self, program: &Name) -> Result<ProgramLog, Error> {
+        ProgramLog::start(self, Some(program), rand::random())
     }
 
     /// Waits until the last lines of the program were sent, for a moment at most.
     pub(super) async fn flush_log(&self) {
-        let Some(Some(outbox)) = self.inner.log.get() else {
-            return;
-        };
-        outbox.driver().flush(Instant::now());
-        outbox.wake();
+        if let Some(Some(log)) = self.inner.log.get() {
+            log.flush().await;
+        }
+    }
+}
+
+/// Logs lines of a program; created by [`Robot::log_of`].
+pub struct ProgramLog(Running<Outbox>);
+
+impl ProgramLog {
+    fn start(robot: &Robot, program: Option<&Name>, run: u32) -> Result<Self, Error> {
+        let inner = &robot.inner;
+        let outbox = Outbox::new(&inner.place, program, run);
+        let executor = Executor::new(&inner.session, outbox, NoItems);
+        executor.start(&inner.runtime).map(Self)
+    }
+
+    /// Logs a line, as [`Robot::log_line`] does, or one that stays on this robot.
+    pub fn log(&self, line: Line, is_private: bool) {
+        if (self.0.driver()).log(line, is_private, Instant::now()) {
+            self.0.wake();
+        }
+    }
+
+    /// Waits until the last lines were sent, for 0.2 s at most.
+    ///
+    /// # Cancel safety
+    /// Dropping the future has no effect.
+    pub async fn flush(&self) {
+        self.0.driver().flush(Instant::now());
+        self.0.wake();
         let until = Instant::now() + LAST_LINES;
-        while !outbox.driver().is_empty() && Instant::now() < until {
+        while !self.0.driver().is_empty() && Instant::now() < until {
             tokio::time::sleep(CHECK_EVERY).await;
         }
     }
 }
 
-/// The log of a program.
-pub(super) type OwnLog = Option<Running<Outbox>>;
+impl fmt::Debug for ProgramLog {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("ProgramLog").finish_non_exhaustive()
+    }
+}
 
 /// The log of a robot, which is kept until this is dropped. For routers; a program without a router has one of its own.
 #[doc(hidden)]

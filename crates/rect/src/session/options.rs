@@ -6,7 +6,7 @@ use std::{
 };
 
 use rect_core::{
-    catalogue::program_name,
+    catalogue::{program_name, PROGRAM_VARIABLE},
     name::{key::KeySpace, Name},
     session::{
         endpoint,
@@ -106,8 +106,8 @@ impl Options {
         Ok(self)
     }
 
-    /// Sets the name under which this program is known in the fleet; default: that of the executable, unless it is a test of Cargo's.
-    /// Other robots see it in `rect program list`, and learn when the program ends.
+    /// Sets the name under which this program is known in the fleet; default: the value of the environment variable `RECT_PROGRAM`, or else
+    /// that of the executable, unless it is a test of Cargo's. Other robots see it in `rect program list`, and learn when the program ends.
     ///
     /// # Errors
     /// [`Error::Name`] if `program` is not a valid name.
@@ -248,6 +248,10 @@ impl Options {
         match &self.program {
             ProgramName::Chosen(name) => name.clone(),
             ProgramName::OfExecutable => {
+                let given = std::env::var(PROGRAM_VARIABLE).unwrap_or_default();
+                if let Ok(name) = Name::new(&given) {
+                    return Some(name);
+                }
                 let file = std::env::current_exe().ok()?;
                 program_name(file.to_str()?)
             }

@@ -30,7 +30,7 @@ use zenoh::{query::Query, Config, Session};
 use super::{
     decoder::Decoder,
     executor::{Executor, Running},
-    log::{KeptLog, OwnLog},
+    log::{KeptLog, ProgramLog},
     publication::{Publication, Put},
     querier::Querier,
     recipients::Recipients,
@@ -80,7 +80,7 @@ pub(super) struct Inner {
     pub(super) once: Once<Query>,
     recipients: OnceCell<Recipients>,
     /// The lines that this program logs, since the first one.
-    pub(super) log: OnceLock<OwnLog>,
+    pub(super) log: OnceLock<Option<ProgramLog>>,
     /// The retained messages of this program.
     pub(super) state: Arc<State>,
     /// The state and the log of the robot; `None` if its router keeps them.
