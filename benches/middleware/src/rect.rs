@@ -1,8 +1,8 @@
 //! Implements [`Peer`] with RECT's library in its default configuration.
-use std::{sync::Arc, time::Duration};
+use std::sync::Arc;
 
 use bytes::Bytes;
-use rect::{Publisher, QueueOptions, Robot, Subscriber, WhenFull};
+use rect::{Payload, Publisher, QueueOptions, Robot, Subscriber, WhenFull};
 
 use super::{
     arrivals::ArrivalCounter,
@@ -38,14 +38,16 @@ impl Peer for Rect {
             when_full: WhenFull::Block,
             ..QueueOptions::default()
         };
-        let flood = robot.subscribe_with("client/flood", each).await?;
+        let flood = robot
+            .subscribe_with::<Payload>("client/flood", each)
+            .await?;
         tokio::spawn(async move {
             while flood.next().await.is_some() {
                 arrivals.on_message();
             }
         });
         let back = robot.publisher("back").await?;
-        let echo = robot.subscribe("client/echo").await?;
+        let echo = robot.subscribe::<Payload>("client/echo").await?;
         while let Some(message) = echo.next().await {
             back.publish(message.payload).await?;
         }
@@ -82,7 +84,7 @@ impl Peer for Rect {
     }
 
     async fn request(&mut self, payload: Bytes) -> Outcome<Bytes> {
-        let asked = self.robot.request(SERVER, "service", payload);
+        let asked = self.robot.request::<Payload>(SERVER, "service", payload);
         Ok(asked.await?.payload.bytes)
     }
 }
