@@ -129,7 +129,10 @@ impl ProgramState {
         Ok(())
     }
 
-    /// Returns the order to publish and keep a value. Raises `InvalidTopicError` and `OptionError`.
+    /// Returns the order to publish and keep a value. `unix_ms` is the time in milliseconds since 1970; default: the time of the clock.
+    /// Raises `InvalidTopicError` and `OptionError`.
+    #[pyo3(signature = (topic, bytes, encoding, urgency, disk, unix_ms=None))]
+    #[allow(clippy::too_many_arguments)] // The fields of a value.
     fn set(
         &self,
         py: Python<'_>,
@@ -138,10 +141,11 @@ impl ProgramState {
         encoding: &str,
         urgency: &str,
         disk: bool,
+        unix_ms: Option<u64>,
     ) -> PyResult<StateOrder> {
         let (topic, urgency) = (self::topic(topic)?, urgency::parse(py, urgency)?);
-        let payload = payload(bytes, encoding);
-        let order = lock(&self.core).set(&topic, payload, urgency, disk, now());
+        let (payload, sent) = (payload(bytes, encoding), unix_ms.map_or_else(now, Sent::At));
+        let order = lock(&self.core).set(&topic, payload, urgency, disk, sent);
         Ok(StateOrder { topic, order })
     }
 

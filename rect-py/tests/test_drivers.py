@@ -16,6 +16,8 @@ from rect import _rect
 _FOLDER = Path(__file__).parents[2] / "tests" / "conformance" / "drivers"
 #: Calls of the driver itself. Others are calls of the object that owns it.
 _DRIVER_CALLS = frozenset(name for name in dir(_rect.Driver) if not name.startswith("_"))
+#: The length from which bytes that are all zero are described by it.
+_LONG = 1000
 
 
 def scenarios() -> list[Any]:
@@ -53,7 +55,10 @@ class Subject:
         if name == "poll_all":
             steps: list[Any] = []
             while not steps or steps[-1][0] not in ("wait", "finished"):
-                steps.append(_described(self._driver.poll()))
+                step = self._driver.poll()
+                if isinstance(self._owner, Program) and step[0] == "deliver":
+                    step = ("deliver", self._owner.received(step[1]))
+                steps.append(_described(step))
             return steps
         if name == "send":
             payload, encoding = arguments
@@ -101,6 +106,20 @@ class Subject:
         publish = (self._place, of["topic"], "normal", of["mode"], of["source"])
         return _rect.StreamPublish(*publish, unix_ms=of["unix_ms"])
 
+    def _state_keeper(self, of: dict[str, Any]) -> _rect.Driver:
+        return _rect.state_keeper(self._place, of["run"])
+
+    def _program_state(self, of: dict[str, Any]) -> Program:
+        return Program(self._place, of["run"])
+
+    def _retain(self, of: dict[str, Any]) -> _rect.Driver:
+        state = _rect.ProgramState(self._place, of["run"])
+        value = (_argument(of["bytes"]), of["encoding"], "normal", False, of["unix_ms"])
+        return state.set(of["topic"], *value).driver(self._place)
+
+    def _latest(self, of: dict[str, Any]) -> _rect.Driver:
+        return _rect.latest(self._place, of["robot"], of["topic"], of["timeout_s"])
+
     def _transfer_push(self, of: dict[str, Any]) -> _rect.TransferPush:
         return _push(self._place, of["recipient"], of)
 
@@ -120,6 +139,45 @@ class Subject:
         return _rect.TransferReception(self._place, of["pattern"], of["max_bytes"], 2, None)
 
 
+class Program:
+    """A program with subscriptions, which receive what its driver delivers."""
+
+    def __init__(self, place: _rect.KeySpace, run: int) -> None:
+        self._place = place
+        self._state = _rect.ProgramState(place, run)
+        self._queue = _rect.Queue(100, "drop_oldest")
+
+    def driver(self) -> _rect.Driver:
+        return self._state.driver()
+
+    def subscribe(self, pattern: str) -> int:
+        inbound = _rect.Inbound(self._place, pattern)
+        return self._state.subscribe(_rect.OnMessage(self._queue, inbound, _rect.AtomicCounters(), None, 0))
+
+    def publish(self, topic: str, bytes: bytes, encoding: str, unix_ms: int, kept: bytes) -> None:
+        """Publishes a value, which the router keeps with this answer."""
+        order = self._state.set(topic, bytes, encoding, "normal", False, unix_ms)
+        retain = order.driver(self._place)
+        question = retain.poll()[1]
+        retain.on_reply(question, "k", kept, "application/cbor")
+        self._state.on_kept(order, retain.poll()[1][1])
+
+    def received(self, arrival: _rect.StateArrival) -> list[Any]:
+        """Delivers something from the router. Returns the messages of the subscriptions."""
+        self._state.deliver(arrival)
+        messages = []
+        while len(self._queue) > 0:
+            item = self._queue.pop()
+            assert item is not None
+            metadata, bytes, encoding, _method = item
+            messages.append(_message(metadata, (bytes, encoding)))
+        return messages
+
+
+def _message(metadata: _rect.MessageMetadata, value: Any) -> list[Any]:
+    return [metadata.sender, metadata.topic, value, metadata.retained]
+
+
 def _push(place: _rect.KeySpace, recipient: str, of: dict[str, Any]) -> _rect.TransferPush:
     content = _argument(of["bytes"])
     return _rect.TransferPush(
@@ -128,17 +186,43 @@ def _push(place: _rect.KeySpace, recipient: str, of: dict[str, Any]) -> _rect.Tr
 
 
 def _argument(value: Any) -> Any:
-    """Returns an argument of a call. Bytes are `{"text": ...}` or `{"hex": ...}`."""
-    if isinstance(value, dict):
-        return value["text"].encode() if "text" in value else bytes.fromhex(value["hex"])
-    return value
+    """Returns an argument of a call. Bytes are described as `text`, `hex`, the length of `zeros`, or `cbor`."""
+    if isinstance(value, list):
+        return [_argument(part) for part in value]
+    if not isinstance(value, dict):
+        return value
+    if len(value) == 1:
+        form, content = next(iter(value.items()))
+        if form == "text":
+            return content.encode()
+        if form == "hex":
+            return bytes.fromhex(content)
+        if form == "zeros":
+            return bytes(content)
+        if form == "cbor":
+            return _rect.write_value(_argument(content), True)[0]
+    return {name: _argument(part) for name, part in value.items()}
 
 
 def _described(value: Any) -> Any:
     """Returns what a call returns in the form of the scenarios."""
     if isinstance(value, (tuple, list)):
-        return [_described(part) for part in value]
+        encodings = [*value[1:], None]
+        return [
+            {"cbor": _described(_rect.read_value(part, encoding))}
+            if isinstance(part, bytes) and encoding == "application/cbor"
+            else _described(part)
+            for part, encoding in zip(value, encodings)
+        ]
+    if isinstance(value, dict):
+        return {name: _described(part) for name, part in value.items()}
     if isinstance(value, bytes):
+        if len(value) > _LONG and not any(value):
+            return {"zeros": len(value)}
         text = value.decode(errors="replace")
         return {"text": text} if text.isprintable() and "\ufffd" not in text else {"hex": value.hex()}
+    if isinstance(value, _rect.RetainedValue):
+        return _described(_message(*value.message()))
+    if isinstance(value, _rect.KeptValue):
+        return value.warning
     return value if value is None or isinstance(value, (bool, int, float, str)) else repr(value)

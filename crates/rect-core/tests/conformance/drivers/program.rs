@@ -5,7 +5,7 @@ use rect_core::{
     driver::{Driver, Event, Reaction, Step},
     message::{attachment::Sent, urgency::Urgency, Inbound, Message},
     name::{
-        key::KeySpace,
+        key::{Audience, KeySpace},
         topic::{Pattern, Topic},
     },
     state::{page, program::ProgramState, retain::Retain},
@@ -39,8 +39,9 @@ impl Program {
             ("subscribe", [pattern]) => {
                 let pattern = Pattern::new(text(pattern)).expect("a pattern");
                 let selected = self.place.subscriptions(&pattern);
-                let keys = selected.iter().map(|selected| selected.key.to_string());
-                let number = self.state.subscribe(&keys.collect::<Vec<_>>(), now);
+                let of_all = selected.iter().filter(|one| one.audience == Audience::All);
+                let keys: Vec<_> = of_all.map(|one| one.key.clone()).collect();
+                let number = self.state.subscribe(&keys, now);
                 let inbound = Inbound::new(self.place.clone(), selected, now);
                 self.subscriptions.push(inbound);
                 json!(number)

@@ -5,12 +5,8 @@ use rect_core::{
     catalogue::Instance,
     codec::CodecError,
     driver::{Driver, Event, Id, QueryId, Sample},
-    message::{encoding::Encoding, payload::Payload, urgency::Urgency},
-    name::{
-        key::KeySpace,
-        topic::{Pattern, Topic},
-        Name,
-    },
+    message::{encoding::Encoding, urgency::Urgency},
+    name::{key::KeySpace, topic::Pattern, Name},
     registry::{
         observer::{Observer, RouterObserver},
         RegistryQuery,
