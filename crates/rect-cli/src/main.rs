@@ -1,6 +1,7 @@
 //! The `rect` command of RECT, the Robot Extensible Communication Toolkit. This file parses the arguments, runs the
 //! selected command, and sets the exit status. Each command has a separate module.
 mod air;
+mod alert;
 mod bench;
 mod completion;
 mod configure;
@@ -10,6 +11,7 @@ mod display;
 mod duration;
 mod foxglove;
 mod keyboard;
+mod log;
 mod manual;
 mod measure;
 mod parameter;
@@ -23,6 +25,7 @@ mod replay;
 mod request;
 mod retained;
 mod router;
+mod run;
 mod session;
 mod stop;
 mod stream;
@@ -96,6 +99,9 @@ enum Command {
     Service(program::ServiceArguments),
     Param(parameter::ParamArguments),
     Stop(stop::StopArguments),
+    Run(run::RunArguments),
+    Log(log::LogArguments),
+    Alert(alert::AlertArguments),
     Transfer(transfer::TransferArguments),
     Record(record::RecordArguments),
     Replay(replay::ReplayArguments),
@@ -160,6 +166,9 @@ fn main() -> ExitCode {
         Command::Service(arguments) => wait_on_one_thread(program::services(arguments)),
         Command::Param(arguments) => wait_on_one_thread(parameter::run(arguments)),
         Command::Stop(arguments) => wait_on_one_thread(stop::run(arguments)),
+        Command::Run(arguments) => wait(run::run(arguments)),
+        Command::Log(arguments) => wait_on_one_thread(log::run(arguments)),
+        Command::Alert(arguments) => wait_on_one_thread(alert::run(arguments)),
         Command::Transfer(arguments) => wait(transfer::run(arguments)),
         Command::Record(arguments) => record::run(arguments),
         Command::Replay(arguments) => wait(replay::run(arguments)),

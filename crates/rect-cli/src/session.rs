@@ -83,6 +83,11 @@ impl JoinArguments {
         self.users.clone().unwrap_or_else(default)
     }
 
+    /// Returns the endpoint of the router.
+    pub fn router(&self) -> &str {
+        &self.router
+    }
+
     fn options(&self, robot: &str) -> Result<Options, rect::Error> {
         let options = Options::new(robot)?.fleet(self.fleet.as_str())?;
         let options = options.router(&self.router);

@@ -9,8 +9,8 @@ use std::{
 };
 
 use rect::{
-    blocking, Json, Message, Options, Payload, QueueOptions, RecordOptions, StreamOptions, Urgency,
-    WhenFull,
+    blocking, Json, Level, LogLine, Message, Options, Payload, QueueOptions, RecordOptions,
+    StreamOptions, Urgency, WhenFull,
 };
 use rect_core::{
     codec::picture::{Format, Picture},
@@ -19,7 +19,7 @@ use rect_core::{
 };
 use rect_recording::{
     file::{self, OpenFile},
-    Entry, ReadError, Reader, RetainedKind,
+    log, Entry, ReadError, Reader, RetainedKind,
 };
 
 use crate::pair::{free_endpoint, pair, stock_client, TIMEOUT};
@@ -528,6 +528,92 @@ fn requests_are_recorded_at_the_service() {
             r#"{"sender":"wombat-2","topic":"difference","value":"now","encoding":"text/plain","bytes":3}"#,
         ]
     );
+}
+
+#[test]
+fn lines_and_alerts_are_recorded_and_lines_are_not_replayed() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let endpoint = free_endpoint();
+    let options = Options::new("a").expect("a name").login_file("/none");
+    let robot = blocking::Robot::connect(options.listen(&endpoint)).expect("connected");
+    robot.log(Level::Info, "before the recording");
+    let record = |file: &str, without_logs| {
+        let patterns = vec!["a/**".parse().expect("a pattern")];
+        let options = RecordOptions {
+            patterns,
+            without_logs,
+            ..RecordOptions::default()
+        };
+        let recorder = robot.record(folder.path().join(file), options);
+        recorder.expect("a recorder")
+    };
+    let (with, without) = (record("with.mcap", false), record("without.mcap", true));
+    let lines = || {
+        let (entries, _) = read(&folder.path().join("with.segments"));
+        let lines = entries.iter().filter(|entry| log::is_log(&entry.topic));
+        lines
+            .map(|entry| text(&entry.payload.bytes))
+            .collect::<Vec<_>>()
+    };
+    // The recorder follows once the router, which this program is, has answered.
+    wait_until("lines are recorded", || {
+        robot.log(Level::Info, "begins");
+        !lines().is_empty()
+    });
+    robot.log_line(LogLine {
+        logger: "driver".to_owned(),
+        source: "arm.rs:7".to_owned(),
+        ..LogLine::new(1_795_000_000_123, Level::Error, "too hot:\n  motor 2")
+    });
+    robot.log_private(LogLine::new(5, Level::Error, "password"));
+    robot.alert(Level::Warn, "battery low").expect("raised");
+    robot.clear_alert("battery low").expect("cleared");
+    robot.log(Level::Info, "last");
+    wait_until("all lines are recorded", || {
+        lines().iter().any(|line| line.contains("last"))
+    });
+    let recorded = lines();
+    let expected = r#"{"timestamp":{"sec":1795000000,"nsec":123000000},"level":4,"message":"too hot:\n  motor 2","name":"unnamed/driver","file":"arm.rs","line":7}"#;
+    assert!(recorded.iter().any(|line| line == expected), "{recorded:?}");
+    for absent in ["before", "password"] {
+        let is_recorded = recorded.iter().any(|line| line.contains(absent));
+        assert!(!is_recorded, "{recorded:?}");
+    }
+    for recorder in [with, without] {
+        recorder.finish().expect("finished");
+    }
+    let info = |file: &str| {
+        let done = ran(folder.path(), &["recording", "info", file]);
+        text(&done.stdout)
+    };
+    assert!(
+        info("with.mcap").contains(" log lines\n"),
+        "{}",
+        info("with.mcap")
+    );
+    assert!(
+        !info("without.mcap").contains("log line"),
+        "{}",
+        info("without.mcap")
+    );
+    assert!(
+        !info("with.mcap").contains("@rect"),
+        "{}",
+        info("with.mcap")
+    );
+    let (entries, _) = read(&folder.path().join("without.mcap"));
+    let alerts = entries
+        .iter()
+        .filter(|entry| entry.topic == "a/alerts/battery-low");
+    let alerts: Vec<_> = alerts.map(|entry| entry.retained).collect();
+    assert_eq!(
+        alerts,
+        [Some(RetainedKind::Value), Some(RetainedKind::Forgotten)]
+    );
+    let replayed = ran(folder.path(), &["replay", "with.mcap", "--dry-run"]);
+    let replayed = text(&replayed.stdout);
+    assert!(replayed.contains("a/alerts/battery-low"), "{replayed}");
+    assert!(!replayed.contains("log"), "{replayed}");
 }
 
 #[test]

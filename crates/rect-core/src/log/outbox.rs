@@ -91,7 +91,8 @@ impl Outbox {
 
     /// Returns whether all lines were sent.
     pub fn is_empty(&self) -> bool {
-        self.waiting.is_empty()
+        // The last batch was sent when the driver is polled after it.
+        self.waiting.is_empty() && self.send_at.is_none()
     }
 
     fn take(&mut self) -> Option<Batch> {

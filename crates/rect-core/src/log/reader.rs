@@ -39,6 +39,8 @@ pub struct Reading {
     pub last: usize,
     /// Whether new lines follow.
     pub follow: bool,
+    /// Whether the private lines of the own robot are left out.
+    pub without_private: bool,
     /// How long a router may take to answer a question.
     pub timeout: Duration,
 }
@@ -113,6 +115,7 @@ impl Default for Reading {
             level: Level::Debug,
             last: 100,
             follow: false,
+            without_private: false,
             timeout: Duration::from_secs(10),
         }
     }
@@ -121,7 +124,8 @@ impl Default for Reading {
 impl LogReader {
     /// Creates a reader of a program of the robot of `place`.
     pub fn new(place: KeySpace, reading: Reading) -> Self {
-        let is_private = reading.robot.as_ref() == Some(&place.robot);
+        let is_own = reading.robot.as_ref() == Some(&place.robot);
+        let is_private = is_own && !reading.without_private;
         let mut reader = Self {
             is_private,
             sources: BTreeMap::new(),

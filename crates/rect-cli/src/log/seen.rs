@@ -1,0 +1,77 @@
+//! What this computer has seen of the logs of robots, for those that are silent now.
+use std::{
+    collections::BTreeMap,
+    time::{Duration, SystemTime},
+};
+
+use rect::{KeptLine, Name};
+use rect_core::{
+    clock::unix::ms_since_1970,
+    log::seen::{path, SeenLog},
+    text::humanize::duration,
+};
+
+use super::print::Printer;
+
+/// The logs that this computer has seen.
+pub struct Seen {
+    fleet: Name,
+    logs: BTreeMap<Name, SeenLog>,
+}
+
+impl Seen {
+    pub fn of(fleet: &Name) -> Self {
+        Self {
+            fleet: fleet.clone(),
+            logs: BTreeMap::new(),
+        }
+    }
+
+    /// Remembers lines.
+    pub fn add(&mut self, robot: &Name, lines: &[KeptLine]) {
+        if let Some(log) = self.log(robot) {
+            log.add(lines, ms_since_1970(SystemTime::now()));
+        }
+    }
+
+    /// Writes what was added. A disk that cannot be written is no reason not to show lines.
+    pub fn save(&mut self) {
+        for log in self.logs.values_mut() {
+            if let Err(error) = log.save() {
+                tracing::warn!(
+                    "the lines are not remembered for the time when the robot is silent: {error}"
+                );
+            }
+        }
+    }
+
+    /// Prints what was seen of a robot that does not answer, and says so.
+    pub fn print(&mut self, robot: &Name, printer: &Printer) {
+        let now = ms_since_1970(SystemTime::now());
+        let Some(log) = self.log(robot) else { return };
+        let Some(last) = log.lines().map(|line| line.seen).max() else {
+            rect_terminal::errln!(
+                "rect log: {robot} does not answer, and this computer has not seen any of its lines"
+            );
+            return;
+        };
+        for kept in printer.last(log.lines().map(|line| &line.kept)) {
+            printer.print(robot, kept);
+        }
+        let age = duration(Duration::from_millis(now.saturating_sub(last)));
+        rect_terminal::errln!(
+            "rect log: {robot} does not answer; this computer has seen these lines before, the last ones {age} ago"
+        );
+    }
+
+    fn log(&mut self, robot: &Name) -> Option<&mut SeenLog> {
+        if !self.logs.contains_key(robot) {
+            let path = path(&self.fleet, robot, |name| std::env::var_os(name))?;
+            let log = SeenLog::open(&path).inspect_err(|error| {
+                tracing::warn!("{}: {error}", path.display());
+            });
+            self.logs.insert(robot.clone(), log.ok()?);
+        }
+        self.logs.get_mut(robot)
+    }
+}

@@ -1,0 +1,437 @@
+//! Implements `rect run`, which runs a program and keeps what it writes, and why it ended.
+mod journal;
+mod output;
+mod restart;
+
+use std::{
+    io::{IsTerminal, Write},
+    os::unix::process::ExitStatusExt,
+    path::Path,
+    process::{ExitCode, ExitStatus, Stdio},
+    sync::{Arc, Mutex, PoisonError},
+    time::{Duration, Instant},
+};
+
+use clap::Args;
+use rect::{Level, Name};
+use rect_core::{
+    catalogue::{program_name, PROGRAM_VARIABLE},
+    session::{endpoint::ROUTER_VARIABLE, login::FILE_VARIABLE},
+    text::humanize,
+};
+use rustix::process::{kill_process, Pid, Signal};
+use serde_json::json;
+use tokio::{
+    io::{AsyncRead, AsyncReadExt},
+    process::{Child, Command},
+    signal::unix::{signal, SignalKind},
+    task::JoinHandle,
+};
+
+use self::{
+    journal::Journal,
+    output::Lines,
+    restart::{Pauses, Restart, SOUND_AFTER},
+};
+use crate::{
+    duration::DurationArgument,
+    session::{name, JoinArguments},
+    Done, Failure,
+};
+
+/// How long the output of a program is read after its end. Programs that it has left behind may hold it open.
+const OUTPUT_AFTER_END: Duration = Duration::from_millis(500);
+/// The maximum number of bytes that are read at once.
+const READ: usize = 16 << 10;
+/// The maximum length of the reason in an alert, in characters.
+const MAX_REASON: usize = 120;
+const EXAMPLE: &str = "\
+Examples:
+  rect run -- python3 arm.py                        # the output stays on the terminal, and `rect log` shows it on the laptop
+  rect run --restart on-failure -- ./drive          # starts it again 1 s after a crash, then 2 s, 4 s, at most 60 s
+  rect run --name arm --private -- ./arm            # other robots cannot read its lines
+  rect log wombat-1 --program arm                   # afterwards, from anywhere in the fleet
+
+The program gets its name, the router and the login in RECT_PROGRAM, RECT_ENDPOINT and RECT_LOGIN, so that
+`rect.connect` needs none of them. Ctrl-C and SIGTERM end the program; what is still running after --grace is killed.
+
+Exit status: that of the program, or 128 and the number of the signal that ended it.";
+
+/// Run a program, keep what it writes, and say why it ended
+///
+/// The router of this robot keeps the last 1,000 lines, also after the end of the program. Lines on the standard error have the level
+/// warn. A program that fails raises an alert, which ends when it runs again.
+#[derive(Args)]
+#[command(after_help = EXAMPLE)]
+pub struct RunArguments {
+    /// The name of the program [default: that of the script or executable]
+    #[arg(long, value_parser = name)]
+    name: Option<Name>,
+    /// When to start it again
+    #[arg(long, value_enum, default_value_t = Restart::Never)]
+    restart: Restart,
+    /// Keep its lines on this robot: other robots cannot read them
+    #[arg(long)]
+    private: bool,
+    /// How long it may take to end after SIGTERM
+    #[arg(long, value_name = "TIME", default_value = "5s")]
+    grace: DurationArgument,
+    #[command(flatten)]
+    join: JoinArguments,
+    /// The program and its arguments
+    #[arg(trailing_var_arg = true, required = true, value_name = "COMMAND")]
+    command: Vec<String>,
+}
+
+/// How a run of the program has ended.
+struct End {
+    status: ExitStatus,
+    ran: Duration,
+    /// Somebody has asked for it.
+    is_asked: bool,
+    /// Programs that it has left behind still have its output.
+    has_left_programs: bool,
+    last_error: String,
+}
+
+/// Runs `rect run`.
+pub async fn run(arguments: RunArguments) -> Done {
+    let DurationArgument(grace) = arguments.grace;
+    let program = match arguments.name {
+        Some(name) => name,
+        None => default_name(&arguments.command).ok_or(
+            "the command has no name that other robots could know it by: give it one with --name, such as --name arm",
+        )?,
+    };
+    let journal = Arc::new(Journal::open(
+        arguments.join.clone(),
+        program.clone(),
+        arguments.private,
+    ));
+    let mut pauses = Pauses::default();
+    let mut restarts = 0_u64;
+    let mut stop = Stop::new()?;
+    let status = loop {
+        let mut command = Command::new(&arguments.command[0]);
+        command
+            .args(&arguments.command[1..])
+            .env(PROGRAM_VARIABLE, program.as_str())
+            .env(ROUTER_VARIABLE, arguments.join.router())
+            .env(FILE_VARIABLE, arguments.join.login_file())
+            // Otherwise Python keeps its output back, since it is not a terminal.
+            .env("PYTHONUNBUFFERED", "1")
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped());
+        let end = match command.spawn() {
+            Ok(child) => {
+                journal.report(
+                    Level::Info,
+                    start_text(restarts),
+                    &[("pid", json!(child.id()))],
+                );
+                until_end(child, &journal, &mut stop, grace).await?
+            }
+            Err(error) => {
+                let text = format!("cannot be started: {error}");
+                journal.report(Level::Error, text.clone(), &[]);
+                journal.alert(Some(format!("{program} {text}"))).await;
+                close(journal).await;
+                return Err(format!("{}: {error}", arguments.command[0]).into());
+            }
+        };
+        let text = end.text();
+        let level = if end.has_failed() {
+            Level::Error
+        } else {
+            Level::Info
+        };
+        journal.report(level, text.clone(), &end.fields(restarts));
+        if end.has_left_programs {
+            let text = "it has left programs behind, whose output is no longer kept";
+            journal.report(Level::Warn, text.to_owned(), &[]);
+        }
+        if end.has_failed() {
+            rect_terminal::errln!("rect run: {program} {text}");
+            journal.alert(Some(end.alert(&program, restarts))).await;
+        } else {
+            journal.alert(None).await;
+        }
+        if end.is_asked || !arguments.restart.applies(end.has_failed()) {
+            break end.status;
+        }
+        let pause = pauses.after(end.ran);
+        let text = format!("starts again in {}", humanize::duration(pause));
+        rect_terminal::errln!("rect run: {program} {text}");
+        journal.report(Level::Info, text, &[]);
+        tokio::select! {
+            () = tokio::time::sleep(pause) => {}
+            _ = stop.next() => break end.status,
+        }
+        restarts += 1;
+    };
+    close(journal).await;
+    let code = status.code().or(status.signal().map(|signal| 128 + signal));
+    let code = code.and_then(|code| u8::try_from(code).ok());
+    Ok(ExitCode::from(code.unwrap_or(u8::MAX)))
+}
+
+async fn close(journal: Arc<Journal>) {
+    if let Some(journal) = Arc::into_inner(journal) {
+        journal.close().await;
+    }
+}
+
+fn start_text(restarts: u64) -> String {
+    match restarts {
+        0 => "started".to_owned(),
+        1 => "started again".to_owned(),
+        count => format!("started again, for the {count}th time"),
+    }
+}
+
+/// Returns the name of the script, if the command is an interpreter, or that of the executable.
+fn default_name(command: &[String]) -> Option<Name> {
+    program_name(command.first()?)
+        .filter(|name| !is_interpreter(name))
+        .or_else(|| {
+            let script = command[1..]
+                .iter()
+                .find(|argument| !argument.starts_with('-'))?;
+            let stem = Path::new(script).file_stem()?.to_str()?;
+            program_name(stem)
+        })
+}
+
+fn is_interpreter(name: &Name) -> bool {
+    matches!(
+        name.as_str(),
+        "node" | "bash" | "sh" | "env" | "uv" | "java" | "ruby"
+    )
+}
+
+/// The signals that ask `rect run` to end.
+struct Stop {
+    interrupt: tokio::signal::unix::Signal,
+    terminate: tokio::signal::unix::Signal,
+}
+
+impl Stop {
+    fn new() -> Result<Self, Failure> {
+        Ok(Self {
+            interrupt: signal(SignalKind::interrupt())?,
+            terminate: signal(SignalKind::terminate())?,
+        })
+    }
+
+    async fn next(&mut self) -> Signal {
+        tokio::select! {
+            _ = self.interrupt.recv() => Signal::INT,
+            _ = self.terminate.recv() => Signal::TERM,
+        }
+    }
+}
+
+/// Waits for the end of a program, passes its output on and keeps it.
+async fn until_end(
+    mut child: Child,
+    journal: &Arc<Journal>,
+    stop: &mut Stop,
+    grace: Duration,
+) -> Result<End, Failure> {
+    let began = Instant::now();
+    let last_error = Arc::new(Mutex::new(String::new()));
+    let keep = |stream, level| Keep {
+        journal: Arc::clone(journal),
+        stream,
+        level,
+        last: Arc::clone(&last_error),
+    };
+    let mut reading = Vec::new();
+    if let Some(output) = child.stdout.take() {
+        reading.push(pass_on(
+            output,
+            std::io::stdout(),
+            keep("stdout", Level::Info),
+        ));
+    }
+    if let Some(output) = child.stderr.take() {
+        reading.push(pass_on(
+            output,
+            std::io::stderr(),
+            keep("stderr", Level::Warn),
+        ));
+    }
+    let sound = tokio::time::sleep(SOUND_AFTER);
+    tokio::pin!(sound);
+    let mut is_sound = false;
+    let mut kill_at = None;
+    let mut is_asked = false;
+    let status = loop {
+        let kill = async {
+            match kill_at {
+                Some(at) => tokio::time::sleep_until(at).await,
+                None => std::future::pending().await,
+            }
+        };
+        tokio::select! {
+            status = child.wait() => break status?,
+            asked = stop.next() => {
+                is_asked = true;
+                // A terminal sends Ctrl-C to the program itself.
+                let is_sent = asked == Signal::INT && std::io::stdin().is_terminal();
+                if let (Some(pid), false) = (pid(&child), is_sent) {
+                    // It may have ended by now.
+                    let _ = kill_process(pid, asked);
+                }
+                kill_at.get_or_insert(tokio::time::Instant::now() + grace);
+            }
+            () = kill => {
+                let text = format!("does not end within {} and is killed", humanize::duration(grace));
+                journal.report(Level::Warn, text, &[]);
+                let _ = child.start_kill();
+                kill_at = None;
+            }
+            () = &mut sound, if !is_sound => {
+                is_sound = true;
+                journal.alert(None).await;
+            }
+        }
+    };
+    let ran = began.elapsed();
+    let until = tokio::time::Instant::now() + OUTPUT_AFTER_END;
+    let mut has_left_programs = false;
+    for mut task in reading {
+        if tokio::time::timeout_at(until, &mut task).await.is_err() {
+            has_left_programs = true;
+            task.abort();
+        }
+    }
+    let last_error =
+        std::mem::take(&mut *last_error.lock().unwrap_or_else(PoisonError::into_inner));
+    Ok(End {
+        status,
+        ran,
+        is_asked,
+        has_left_programs,
+        last_error,
+    })
+}
+
+fn pid(child: &Child) -> Option<Pid> {
+    Pid::from_raw(i32::try_from(child.id()?).ok()?)
+}
+
+/// Where the lines of an output go.
+struct Keep {
+    journal: Arc<Journal>,
+    stream: &'static str,
+    level: Level,
+    last: Arc<Mutex<String>>,
+}
+
+impl Keep {
+    fn keep(&self, texts: Vec<String>) {
+        for text in texts {
+            if self.level == Level::Warn {
+                let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
+                text.clone_into(&mut last);
+            }
+            self.journal.output(self.stream, self.level, text);
+        }
+    }
+}
+
+/// Passes the output of a program on, on a task, and keeps its lines. The program never waits for a terminal that has been closed.
+fn pass_on(
+    mut from: impl AsyncRead + Unpin + Send + 'static,
+    mut to: impl Write + Send + 'static,
+    keep: Keep,
+) -> JoinHandle<()> {
+    tokio::spawn(async move {
+        let mut lines = Lines::default();
+        let mut buffer = vec![0; READ];
+        let mut is_open = true;
+        while let Ok(count @ 1..) = from.read(&mut buffer).await {
+            let bytes = &buffer[..count];
+            is_open = is_open && to.write_all(bytes).and_then(|()| to.flush()).is_ok();
+            keep.keep(lines.add(bytes));
+        }
+        keep.keep(lines.finish());
+    })
+}
+
+impl End {
+    fn has_failed(&self) -> bool {
+        !self.status.success() && !self.is_asked
+    }
+
+    /// Says how the program has ended, such as `failed after 12 s with exit status 1`.
+    fn text(&self) -> String {
+        let ran = humanize::duration(self.ran);
+        match (self.status.signal(), self.status.code()) {
+            (Some(signal), _) => format!("was ended after {ran} by {}", signal_in_words(signal)),
+            (None, Some(0)) => format!("ended after {ran}"),
+            (None, code) => {
+                let code = code.unwrap_or_default();
+                format!("failed after {ran} with exit status {code}")
+            }
+        }
+    }
+
+    fn fields(&self, restarts: u64) -> Vec<(&'static str, serde_json::Value)> {
+        let ended = match (self.status.signal(), self.status.code()) {
+            (Some(signal), _) => ("signal", json!(signal)),
+            (None, code) => ("exit_status", json!(code)),
+        };
+        let seconds = (self.ran.as_secs_f64() * 1000.0).round() / 1000.0;
+        vec![
+            ended,
+            ("seconds", json!(seconds)),
+            ("restarts", json!(restarts)),
+        ]
+    }
+
+    /// Returns the text of the alert: how it has ended, and the last line that it wrote to the standard error.
+    fn alert(&self, program: &Name, restarts: u64) -> String {
+        let reason = self.last_error.lines().last().unwrap_or_default().trim();
+        let reason: String = reason.chars().take(MAX_REASON).collect();
+        let mut text = format!("{program} {}", self.text());
+        if !reason.is_empty() {
+            text.push_str(": ");
+            text.push_str(&reason);
+        }
+        if restarts > 0 {
+            text.push_str(&format!(" (restarted {restarts} times)"));
+        }
+        text
+    }
+}
+
+/// Names a signal, with what it usually means.
+fn signal_in_words(number: i32) -> String {
+    let known = [
+        (
+            Signal::SEGV,
+            "SIGSEGV, an access to memory that it does not have",
+        ),
+        (Signal::ABORT, "SIGABRT: it has aborted itself"),
+        (
+            Signal::ILL,
+            "SIGILL: it was perhaps built for another processor",
+        ),
+        (Signal::BUS, "SIGBUS, a wrong access to memory"),
+        (Signal::FPE, "SIGFPE, such as a division by zero"),
+        (
+            Signal::KILL,
+            "SIGKILL: somebody has killed it, or the robot had no memory left",
+        ),
+        (Signal::TERM, "SIGTERM"),
+        (Signal::INT, "SIGINT"),
+        (Signal::HUP, "SIGHUP: its terminal was closed"),
+        (Signal::PIPE, "SIGPIPE: nobody reads its output"),
+    ];
+    let known = known
+        .into_iter()
+        .find(|(signal, _)| signal.as_raw() == number);
+    known.map_or_else(|| format!("signal {number}"), |(_, text)| text.to_owned())
+}
