@@ -6,9 +6,10 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from conftest import Fleet
 from playwright.sync_api import Browser, expect
+from test_log import Program
 from test_views import repeat
 
-VIEWS = ["fleet", "topics/wombat-2%2Farm%2Fstate", "services", "parameters", "cameras", "connections", "events"]
+VIEWS = ["fleet", "log", "topics/wombat-2%2Farm%2Fstate", "services", "parameters", "cameras", "connections", "events"]
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -22,6 +23,9 @@ def test_views_are_accessible(chromium: Browser, fleet: Fleet, dashboard: str, s
             expect(page.locator(".condition")).to_have_text("live")
             if view == "fleet":
                 expect(page.get_by_role("region", name="wombat-2", exact=True)).to_contain_text("ble")
+            if view == "log":
+                Program(robot, "arm").log("slow", level="warn", logger="gripper", source="arm.py:12")
+                expect(page.locator(".entry").first).to_be_visible()
             if view.startswith("topics"):
                 expect(page.locator(".plot canvas")).to_be_visible()
             violations = Axe().run(page).response["violations"]

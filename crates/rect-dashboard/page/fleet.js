@@ -1,5 +1,6 @@
 // The view of the fleet: a picture of the robots and their links, and a card for each robot.
 
+import { alertList } from "./alerts.js";
 import { eachFrame, h, setText, table, updateList } from "./dom.js";
 import { bytes, milliseconds, pathText, seconds, visible } from "./format.js";
 import { drawMap } from "./map.js";
@@ -11,8 +12,9 @@ const LINKS = ["With", "By", "Signal", "Round trip", "Urgent", "Sent", "Received
 export function fleet(link, parent) {
   const picture = h("figure", { class: "picture" });
   const cards = h("div", { class: "cards" });
+  const others = alertList("Alerts of robots that are not reachable", true);
   const empty = h("p", { class: "empty" });
-  parent.append(h("h1", {}, "Fleet"), empty, picture, cards);
+  parent.append(h("h1", {}, "Fleet"), empty, picture, others.element, cards);
   const rates = new Rates();
   const show = eachFrame(() => {
     const robots = link.states.fleet?.robots ?? [];
@@ -21,17 +23,26 @@ export function fleet(link, parent) {
     empty.hidden = empty.textContent === "";
     drawMap(picture, robots, own);
     rates.update(robots);
+    const alerts = link.states.alerts?.alerts ?? [];
+    const names = new Set(robots.map(({ name }) => name));
+    others.show(alerts.filter(({ robot }) => !names.has(robot)));
     updateList(
       cards,
       robots,
       (robot) => robot.name,
       () => card(link),
-      (element, robot) => element.show(robot, own, rates, link.states.time?.at_s),
+      (element, robot) => element.show(robot, own, rates, link.states.time?.at_s, alerts),
     );
   });
-  link.addEventListener("fleet", show);
+  for (const event of ["fleet", "alerts"]) {
+    link.addEventListener(event, show);
+  }
   show();
-  return () => link.removeEventListener("fleet", show);
+  return () => {
+    for (const event of ["fleet", "alerts"]) {
+      link.removeEventListener(event, show);
+    }
+  };
 }
 
 function emptyText(link, robots) {
@@ -48,16 +59,19 @@ function card(link) {
   const state = h("span", { class: "badge" });
   const about = h("p", { class: "about" });
   const problems = h("ul", { class: "problems" });
+  const alerts = alertList("Alerts");
+  const logLink = h("a", { class: "log-link" }, "Log");
   const none = h("p", { class: "about" });
   const links = table("Links", LINKS);
   const checkButton = h("button", { click: check }, "Check");
   const findings = h("ul", { class: "findings" });
-  const foot = h("div", { class: "row" }, checkButton);
+  const foot = h("div", { class: "row" }, checkButton, logLink);
   const element = h(
     "section",
     { class: "card" },
     h("header", {}, name, state),
     about,
+    alerts.element,
     problems,
     none,
     links.element,
@@ -77,9 +91,12 @@ function card(link) {
     }
   }
 
-  element.show = (robot, own, rates, now) => {
+  element.show = (robot, own, rates, now, all) => {
     setText(name, robot.name);
     checkButton.hidden = !robot.reachable;
+    alerts.show(all.filter((alert) => alert.robot === robot.name));
+    logLink.setAttribute("href", `#log/${encodeURIComponent(robot.name)}`);
+    logLink.setAttribute("aria-label", `Log of ${robot.name}`);
     checkButton.setAttribute("aria-label", `Check ${robot.name}`);
     element.setAttribute("aria-label", robot.name);
     links.element.setAttribute("aria-label", `Links of ${robot.name}`);

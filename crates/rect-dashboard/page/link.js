@@ -2,7 +2,7 @@
 
 import { canDecode } from "./video.js";
 
-const VERSION = 6;
+const VERSION = 7;
 const STATE = 1;
 /** How long nothing may arrive before the connection counts as lost. The program sends the time every 3 s. */
 const SILENT_AFTER_MS = 10_000;
@@ -49,10 +49,19 @@ export class Link extends EventTarget {
 
   /** Calls `receive(header, value)` for each value of a topic, until the returned function is called. */
   watch(topic, stream, receive, fail = () => {}) {
+    return this.#begin({ type: "watch", topic, stream, video: stream && canDecode }, receive, fail);
+  }
+
+  /** Calls `receive(header, value)` for lines of `level` and above of all robots, until the returned function is called. */
+  watchLog(level, receive) {
+    return this.#begin({ type: "log", level }, receive, () => {});
+  }
+
+  #begin(command, receive, fail) {
     const id = this.#nextId++;
-    const watch = { id, topic, stream, receive, fail };
+    const watch = { command: { ...command, id }, receive, fail };
     this.#watches.set(id, watch);
-    this.#sendWatch(watch);
+    this.#send(watch.command);
     return () => {
       this.#watches.delete(id);
       this.#send({ type: "unwatch", id });
@@ -63,7 +72,7 @@ export class Link extends EventTarget {
   askForKey(receive) {
     const watch = [...this.#watches.values()].find((other) => other.receive === receive);
     if (watch) {
-      this.#send({ type: "key", id: watch.id });
+      this.#send({ type: "key", id: watch.command.id });
     }
   }
 
@@ -82,8 +91,8 @@ export class Link extends EventTarget {
     this.#received = Date.now();
     socket.addEventListener("open", () => {
       this.#send({ type: "show", ...this.#shows });
-      for (const watch of this.#watches.values()) {
-        this.#sendWatch(watch);
+      for (const { command } of this.#watches.values()) {
+        this.#send(command);
       }
     });
     socket.addEventListener("message", (event) => {
@@ -207,10 +216,6 @@ export class Link extends EventTarget {
     this.condition = condition;
     this.reason = reason;
     this.dispatchEvent(new Event("condition"));
-  }
-
-  #sendWatch({ id, topic, stream }) {
-    this.#send({ type: "watch", id, topic, stream, video: stream && canDecode });
   }
 
   #send(command) {

@@ -1,5 +1,6 @@
 // The page: its header, and the view that the address selects.
 
+import { alertCount } from "./alerts.js";
 import { cameras } from "./cameras.js";
 import { connections } from "./connections.js";
 import { h, setText } from "./dom.js";
@@ -12,9 +13,19 @@ import { services } from "./services.js";
 import { stopButton } from "./stop.js";
 import { topics } from "./topics.js";
 
-const VIEWS = { fleet, topics, services, parameters, cameras, connections, events };
+const VIEWS = {
+  fleet,
+  log: later(() => import("./log.js").then(({ log }) => log)),
+  topics,
+  services,
+  parameters: later(() => import("./parameters.js").then(({ parameters }) => parameters)),
+  cameras,
+  connections,
+  events,
+};
 const NAMES = {
   fleet: "Fleet",
+  log: "Log",
   topics: "Topics",
   services: "Services",
   parameters: "Parameters",
@@ -32,19 +43,21 @@ let closeView = () => {};
 /** Whether the view was shown for a page that may only look; `undefined` before the first view. */
 let shownReadOnly;
 
-/** Loads the view of parameters once it is opened, so that the page stays small. */
-function parameters(to, parent) {
-  let close = null;
-  let isClosed = false;
-  import("./parameters.js").then(
-    (view) => {
-      close = isClosed ? null : view.parameters(to, parent);
-    },
-    () => parent.append(h("p", { class: "empty" }, "The view cannot be loaded: is the dashboard still running?")),
-  );
-  return () => {
-    isClosed = true;
-    close?.();
+/** Returns a view that is loaded once it is opened, so that the page stays small. */
+function later(load) {
+  return (to, parent) => {
+    let close = null;
+    let isClosed = false;
+    load().then(
+      (view) => {
+        close = isClosed ? null : view(to, parent);
+      },
+      () => parent.append(h("p", { class: "empty" }, "The view cannot be loaded: is the dashboard still running?")),
+    );
+    return () => {
+      isClosed = true;
+      close?.();
+    };
   };
 }
 
@@ -119,7 +132,15 @@ function header() {
   showCondition();
   document
     .getElementById("header")
-    .append(title, condition, dropped, h("nav", { "aria-label": "Views" }, entries), actions, stop.area);
+    .append(
+      title,
+      condition,
+      alertCount(link),
+      dropped,
+      h("nav", { "aria-label": "Views" }, entries),
+      actions,
+      stop.area,
+    );
 }
 
 function recordButton() {

@@ -22,6 +22,7 @@ pub fn id_of(command: &Command) -> u32 {
     match command {
         Command::Show { .. } => 0,
         Command::Watch { id, .. }
+        | Command::Log { id, .. }
         | Command::Unwatch { id }
         | Command::Key { id }
         | Command::Publish { id, .. }
@@ -115,6 +116,7 @@ pub async fn execute(app: &App, command: Command, access: Access, user: Option<&
         }
         Command::Show { .. }
         | Command::Watch { .. }
+        | Command::Log { .. }
         | Command::Unwatch { .. }
         | Command::Key { .. } => Ok(Value::Null),
     }

@@ -15,11 +15,10 @@ use tokio::{
 };
 
 use crate::{
-    browsers::Browsers,
+    programs,
     protocol::{now_ms, RobotState, ShownConnection, State, TimedEvent, TopicRow},
-    stop::StopButton,
+    topics, App, Failure,
 };
-use crate::{programs, topics, Failure};
 
 /// How often the states are sent to browsers.
 const SHOWN_EVERY: Duration = Duration::from_secs(1);
@@ -46,6 +45,8 @@ const MAX_ASKING: usize = 8;
 #[derive(Default)]
 struct RobotRecord {
     reachable: bool,
+    /// When it became unreachable, in milliseconds since 1970.
+    silent_since_ms: Option<u64>,
     asking: bool,
     asked: Option<Instant>,
     connections: Option<Vec<Connection>>,
@@ -71,9 +72,8 @@ struct FoundTopics {
 }
 
 struct Observer {
+    app: Arc<App>,
     robot: Robot,
-    browsers: Arc<Browsers>,
-    stop: Arc<StopButton>,
     records: BTreeMap<Name, RobotRecord>,
     events: VecDeque<TimedEvent>,
     asking: JoinSet<Answer>,
@@ -91,17 +91,13 @@ struct Observer {
 ///
 /// # Errors
 /// Fails if the session is closed already.
-pub async fn observe(
-    robot: Robot,
-    browsers: Arc<Browsers>,
-    stop: Arc<StopButton>,
-) -> Result<(), rect::Error> {
+pub async fn observe(app: Arc<App>) -> Result<(), rect::Error> {
+    let robot = app.robot.clone();
     let events = robot.events().await?;
     let mut observer = Observer {
         records: BTreeMap::from([(robot.name().clone(), RobotRecord::default())]),
         robot,
-        browsers,
-        stop,
+        app,
         events: VecDeque::new(),
         asking: JoinSet::new(),
         topics: BTreeMap::new(),
@@ -130,7 +126,7 @@ impl Observer {
                 Some(Ok(found)) = self.asking_topics.join_next() => self.on_topics(found),
                 Some(Ok(found)) = self.asking_programs.join_next() => self.on_programs(found),
                 _ = tick.tick() => {
-                    if self.browsers.any() {
+                    if self.app.browsers.any() {
                         self.ask();
                         self.ask_for_topics();
                         self.ask_for_programs();
@@ -142,16 +138,19 @@ impl Observer {
     }
 
     fn on_event(&mut self, event: &Event) {
-        self.stop.on_event(event);
+        self.app.stop.on_event(event);
         match event {
             Event::PeerUp { robot } => {
                 let record = self.records.entry(robot.clone()).or_default();
                 // It is asked at once.
                 (record.reachable, record.asked) = (true, None);
+                record.silent_since_ms = None;
+                self.app.logs.on_return(robot);
             }
             Event::PeerDown { robot } => {
                 if let Some(record) = self.records.get_mut(robot) {
                     record.reachable = false;
+                    record.silent_since_ms = Some(now_ms());
                 }
             }
             Event::LinkUp(_) | Event::LinkDown(_) | Event::PathSwitched { .. } => {
@@ -159,8 +158,10 @@ impl Observer {
                     record.asked = None;
                 }
             }
-            Event::ProgramUp { .. } | Event::ProgramDown { .. } => {
+            Event::ProgramUp { .. } => self.ask_programs_at = Instant::now(),
+            Event::ProgramDown { .. } => {
                 self.ask_programs_at = Instant::now();
+                self.app.alerts.on_program_end();
             }
             Event::RouterUp => self.connected = true,
             Event::RouterDown => self.connected = false,
@@ -239,7 +240,7 @@ impl Observer {
     }
 
     fn ask_for_topics(&mut self) {
-        if !self.browsers.show_topics() || !self.asking_topics.is_empty() {
+        if !self.app.browsers.show_topics() || !self.asking_topics.is_empty() {
             return;
         }
         let now = Instant::now();
@@ -324,7 +325,7 @@ impl Observer {
             more: self.topics.values().map(|topics| topics.more).sum(),
             problem,
         };
-        self.browsers.publish("topics", &state);
+        self.app.browsers.publish("topics", &state);
     }
 
     fn show(&mut self) {
@@ -332,6 +333,7 @@ impl Observer {
         let robots = self.records.iter().map(|(name, record)| RobotState {
             name: name.to_string(),
             reachable: record.reachable || name == own,
+            silent_since_ms: record.silent_since_ms,
             connections: shown(record.connections.as_deref()),
             programs: record.programs.as_deref(),
             version: text_of(record.status.as_ref(), "version"),
@@ -340,7 +342,7 @@ impl Observer {
         });
         let robots: Vec<_> = robots.collect();
         let connected = self.connected;
-        self.browsers.publish(
+        self.app.browsers.publish(
             "fleet",
             &State::Fleet {
                 robots: &robots,
@@ -350,9 +352,11 @@ impl Observer {
         // A page that receives nothing for long takes the connection for lost.
         let seconds = now_ms() / 1000;
         let at_s = seconds - seconds % 3;
-        self.browsers.publish("time", &State::Time { at_s });
+        self.app.browsers.publish("time", &State::Time { at_s });
         let events = self.events.make_contiguous();
-        self.browsers.publish("events", &State::Events { events });
+        self.app
+            .browsers
+            .publish("events", &State::Events { events });
     }
 }
 

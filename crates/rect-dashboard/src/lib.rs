@@ -1,6 +1,7 @@
 //! Serves RECT's dashboard, a page that shows the robots, their links and their data in a browser. `rect dashboard` runs it.
 //!
 //! [`Dashboard::bind`] checks the settings and listens, [`Dashboard::serve`] shows what a robot sees to all browsers.
+mod alerts;
 mod browsers;
 mod commands;
 mod feed;
@@ -8,6 +9,7 @@ mod fleet;
 mod guard;
 pub mod hosts;
 mod login;
+mod logs;
 mod outbox;
 pub mod permits;
 pub mod plot;
@@ -30,8 +32,8 @@ use rect::Robot;
 use tokio::{net::TcpListener, time::interval};
 
 use self::{
-    browsers::Browsers, feed::Feeds, guard::Guard, login::Logins, recording::Recording,
-    server::Protection, stop::StopButton,
+    alerts::Alerts, browsers::Browsers, feed::Feeds, guard::Guard, login::Logins, logs::Logs,
+    recording::Recording, server::Protection, stop::StopButton,
 };
 
 /// How often the state of a recording is shown.
@@ -89,6 +91,8 @@ struct App {
     robot: Robot,
     browsers: Arc<Browsers>,
     feeds: Feeds,
+    logs: Logs,
+    alerts: Arc<Alerts>,
     recording: Option<Recording>,
     stop: Arc<StopButton>,
     read_only: bool,
@@ -125,8 +129,10 @@ impl Dashboard {
         let browsers = Arc::<Browsers>::default();
         let app = Arc::new(App {
             stop: StopButton::new(robot.clone(), browsers.clone()),
+            alerts: Alerts::new(robot.clone(), browsers.clone()),
             browsers,
             feeds: Feeds::new(robot.clone()),
+            logs: Logs::new(robot.clone()),
             recording: folder.map(|folder| Recording::new(robot.clone(), folder)),
             read_only: self.settings.read_only,
             robot,
@@ -135,6 +141,8 @@ impl Dashboard {
         tokio::spawn(async move { server::serve(self.listener, served, self.protection).await });
         let stop = app.stop.clone();
         tokio::spawn(async move { stop.run().await });
+        let alerts = app.alerts.clone();
+        tokio::spawn(async move { alerts.run().await });
         let shown = app.clone();
         tokio::spawn(async move { show_recording(&shown).await });
         Ok(Serving {
@@ -161,13 +169,7 @@ impl Serving {
     /// # Errors
     /// Fails if the session is closed already.
     pub async fn until_closed(self) -> Result<(), rect::Error> {
-        let App {
-            robot,
-            browsers,
-            stop,
-            ..
-        } = &*self.app;
-        fleet::observe(robot.clone(), browsers.clone(), stop.clone()).await
+        fleet::observe(self.app).await
     }
 }
 

@@ -6,14 +6,14 @@
 use std::{collections::BTreeMap, time::SystemTime};
 
 use axum::body::Bytes;
-use rect::{Connection, ParameterValue, Program};
+use rect::{Connection, Level, ParameterValue, Program};
 use rect_core::clock::unix::ms_since_1970;
 use rect_recording::report::EventReport;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 /// The version of these messages. A page of another version reloads itself.
-pub const VERSION: u32 = 6;
+pub const VERSION: u32 = 7;
 /// The kind of a message that contains a [`State`].
 pub const STATE: u8 = 1;
 /// The kind of a message that contains a value of a topic.
@@ -47,9 +47,16 @@ pub enum Command {
         /// The number of the `Watch`.
         id: u32,
     },
-    /// End a `Watch`.
+    /// Receive the lines that programs log, in place of a `Log` before.
+    Log {
+        /// The number of the lines in their headers.
+        id: u32,
+        /// The least important level.
+        level: Level,
+    },
+    /// End a `Watch` or a `Log`.
     Unwatch {
-        /// The number of the `Watch`.
+        /// The number of the `Watch` or the `Log`.
         id: u32,
     },
     /// Publish a message, or send it to one robot.
@@ -187,6 +194,11 @@ pub enum State<'a> {
         /// The events.
         events: &'a [TimedEvent],
     },
+    /// The alerts of all robots.
+    Alerts {
+        /// The alerts, by robot and name.
+        alerts: &'a [&'a AlertState],
+    },
     /// The time, every three seconds.
     Time {
         /// Seconds since 1970, by this computer's clock.
@@ -261,6 +273,25 @@ pub struct StoppedRobot {
     pub ms: Option<f64>,
 }
 
+/// An alert of a robot.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct AlertState {
+    /// The robot.
+    pub robot: String,
+    /// The topic, which identifies it.
+    pub name: String,
+    /// What is wrong.
+    pub text: String,
+    /// How important it is.
+    pub level: Level,
+    /// Since when, in milliseconds since 1970 by this computer's clock.
+    pub since_ms: u64,
+    /// The program that has raised it; empty if it has no name.
+    pub program: String,
+    /// Whether that program has ended.
+    pub has_ended: bool,
+}
+
 /// A topic, as the router of its robot has counted it.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct TopicRow<'a> {
@@ -308,6 +339,8 @@ pub struct RobotState<'a> {
     pub name: String,
     /// Whether it can be reached.
     pub reachable: bool,
+    /// Since when it is not, in milliseconds since 1970 by this computer's clock, if that was noticed.
+    pub silent_since_ms: Option<u64>,
     /// The connections of its router; `None` until it has answered, and if it has no registry.
     pub connections: Option<Vec<ShownConnection>>,
     /// Its programs with their services; `None` until its router has told them, and if it keeps no catalogue.

@@ -14,6 +14,7 @@ use crate::{
     commands,
     feed::FeedKey,
     login::Access,
+    logs::ShowingLog,
     outbox::Outbox,
     protocol::{self, Command, State, VERSION},
     App,
@@ -43,6 +44,8 @@ struct Browser<'a, F> {
     permits: Arc<Semaphore>,
     stop_permits: Arc<Semaphore>,
     showing_topics: Option<ShowingTopics>,
+    /// The lines that it receives, and their number.
+    showing_log: Option<(u32, ShowingLog)>,
 }
 
 /// A topic that a browser receives.
@@ -80,6 +83,7 @@ pub async fn run<F: Fn() -> Access>(
         permits: Arc::new(Semaphore::new(MAX_COMMANDS)),
         stop_permits: Arc::new(Semaphore::new(MAX_STOPS)),
         showing_topics: None,
+        showing_log: None,
     };
     browser
         .outbox
@@ -184,7 +188,12 @@ impl<F: Fn() -> Access> Browser<'_, F> {
                     watch.asks_for_key.notify_one();
                 }
             }
+            Command::Log { id, level } => {
+                let showing = self.app.logs.show(id, level, self.outbox.clone());
+                self.showing_log = Some((id, showing));
+            }
             Command::Unwatch { id } => {
+                self.showing_log.take_if(|(log, _)| *log == id);
                 if let Some(watch) = self.watches.remove(&id) {
                     watch.task.abort();
                 }

@@ -66,6 +66,13 @@ impl LogOptions {
         self
     }
 
+    /// Leaves out the private lines of the own robot, for a program that passes lines on.
+    #[must_use]
+    pub fn without_private(mut self) -> Self {
+        self.0.without_private = true;
+        self
+    }
+
     /// Sets how long the router of a robot may take to answer. Default: 10 s.
     #[must_use]
     pub fn timeout(mut self, timeout: Duration) -> Self {
