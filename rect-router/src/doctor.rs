@@ -1,5 +1,6 @@
 //! Finds problems that keep a computer from reaching robots, with advice on each: `rect-router doctor` shows them, and the registry
 //! of a router answers with them.
+pub mod alerts;
 pub mod declarations;
 pub mod encryption;
 pub mod names;

@@ -18,6 +18,7 @@ use std::{
 };
 
 use rect_core::{
+    alert::query::RobotAlert,
     registry::{
         connection::{Connection, ConnectionState as State, Failure, PeerId, Traffic},
         selector::Selector,
@@ -76,6 +77,9 @@ struct Sources {
     fleet_hash: u16,
 }
 
+/// Returns the alerts of the robot.
+pub type Alerts = Box<dyn Fn() -> Vec<RobotAlert> + Send + Sync>;
+
 impl Registry {
     /// Declares the registry of the robot of `settings` and starts its publishing thread.
     ///
@@ -91,6 +95,7 @@ impl Registry {
         settings: &Settings,
         connections: Option<Arc<Connections>>,
         fleet: Arc<FleetConnector>,
+        alerts: Alerts,
     ) -> zenoh::Result<Self> {
         let (changed, changes) = mpsc::channel();
         let changed = Arc::new(changed);
@@ -134,6 +139,7 @@ impl Registry {
                 chooses_intervals: management::is_permitted(),
                 delayed_declarations: delayed_declarations(),
                 connections: Counts::of(&connections),
+                alerts: alerts().iter().map(RobotAlert::to_json).collect(),
             }
         })?;
         sources.answer(own, "doctor", |connections, _| {

@@ -141,7 +141,20 @@ impl RobotServices {
         let log = KeptLog::start(session, place.clone())?;
         catalogue::serve(session, &place, &programs, Box::new(is_retained))?;
         let (connections, fleet) = (self.connections.clone(), Arc::clone(&self.fleet));
-        let registry = Registry::serve(session, host, own, settings, self.connections, self.fleet)?;
+        let alerting = Arc::downgrade(&state);
+        let alerts = Box::new(move || {
+            let state = alerting.upgrade();
+            state.map(|state| state.alerts()).unwrap_or_default()
+        });
+        let registry = Registry::serve(
+            session,
+            host,
+            own,
+            settings,
+            self.connections,
+            self.fleet,
+            alerts,
+        )?;
         Ok(RunningServices {
             connections,
             fleet,

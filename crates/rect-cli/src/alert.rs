@@ -110,15 +110,9 @@ async fn list(arguments: ListArguments) -> Result<(), Failure> {
 }
 
 fn document(one: &RobotAlert) -> serde_json::Value {
-    json!({
-        "robot": one.robot,
-        "name": one.name(),
-        "text": one.alert.text,
-        "level": one.alert.level,
-        "age_s": one.retained.age.as_secs_f64(),
-        "program": one.alert.program,
-        "has_ended": one.retained.has_ended,
-    })
+    let mut document = one.to_json();
+    document["robot"] = json!(one.robot);
+    document
 }
 
 /// Returns the alerts as a table.

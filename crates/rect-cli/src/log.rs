@@ -39,6 +39,25 @@ pub struct LogArguments {
     /// Only lines of this program
     #[arg(long, value_name = "PROGRAM", value_parser = name)]
     program: Option<Name>,
+    #[command(flatten)]
+    shown: ShownArguments,
+}
+
+/// Show what a program of a robot has logged, also after its end
+#[derive(Args)]
+pub struct ProgramLogArguments {
+    /// The program
+    #[arg(value_parser = name)]
+    program: Name,
+    /// The robot; '*' for all [default: the robot of the router]
+    robot: Option<String>,
+    #[command(flatten)]
+    shown: ShownArguments,
+}
+
+/// Which lines are shown, and how.
+#[derive(Args)]
+struct ShownArguments {
     /// Only lines of this level and more important ones: debug, info, warn, error
     #[arg(long, value_name = "LEVEL", default_value = "debug")]
     level: Level,
@@ -61,16 +80,30 @@ pub struct LogArguments {
     join: JoinArguments,
 }
 
+/// Runs `rect program log`.
+pub async fn run_program(arguments: ProgramLogArguments) -> Done {
+    let (robot, program) = (arguments.robot, Some(arguments.program));
+    let shown = arguments.shown;
+    run(LogArguments {
+        robot,
+        program,
+        shown,
+    })
+    .await
+}
+
 /// Runs `rect log`.
 pub async fn run(arguments: LogArguments) -> Done {
+    let LogArguments {
+        robot,
+        program,
+        shown: arguments,
+    } = arguments;
     let own = arguments.join.join_unnamed().await?;
-    let asked = match &arguments.robot {
-        Some(robot) => robot.clone(),
-        None => own.name().to_string(),
-    };
+    let asked = robot.unwrap_or_else(|| own.name().to_string());
     let one = (asked != "*").then(|| Name::new(&asked)).transpose()?;
     let selection = Selection {
-        program: arguments.program.clone(),
+        program: program.clone(),
         level: arguments.level,
         text: arguments.text.as_ref().map(|text| text.to_lowercase()),
         last: arguments.last,
@@ -83,7 +116,7 @@ pub async fn run(arguments: LogArguments) -> Done {
         printer: Printer::new(arguments.json, one.is_none(), selection),
         progress: progress(&asked),
     };
-    let logs = own.logs(&asked, options(&arguments)).await?;
+    let logs = own.logs(&asked, options(&arguments, program)).await?;
     let mut is_complete = true;
     loop {
         let item = tokio::select! {
@@ -109,14 +142,14 @@ pub async fn run(arguments: LogArguments) -> Done {
     Ok(ExitCode::from(u8::from(!is_complete)))
 }
 
-fn options(arguments: &LogArguments) -> LogOptions {
+fn options(arguments: &ShownArguments, program: Option<Name>) -> LogOptions {
     let DurationArgument(timeout) = arguments.timeout;
     let options = LogOptions::new()
         .level(arguments.level)
         .last(arguments.last)
         .timeout(timeout);
-    let options = match &arguments.program {
-        Some(program) => options.program(program.clone()),
+    let options = match program {
+        Some(program) => options.program(program),
         None => options,
     };
     if arguments.follow {

@@ -8,11 +8,12 @@ use rect_terminal::{self as terminal, Cell, Style, Table};
 use serde_json::json;
 
 use crate::{
+    log,
     session::{name, JoinArguments},
     Done,
 };
 
-/// Show the programs that run on robots
+/// Show the programs that run on robots, and what they have logged
 #[derive(Args)]
 pub struct ProgramArguments {
     #[command(subcommand)]
@@ -23,6 +24,7 @@ pub struct ProgramArguments {
 enum ProgramCommand {
     /// List the programs of a robot, or of all robots of the fleet
     List(ListArguments),
+    Log(log::ProgramLogArguments),
 }
 
 /// Show the services that robots offer
@@ -52,7 +54,10 @@ struct ListArguments {
 
 /// Runs `rect program`.
 pub async fn programs(arguments: ProgramArguments) -> Done {
-    let ProgramCommand::List(arguments) = arguments.command;
+    let arguments = match arguments.command {
+        ProgramCommand::List(arguments) => arguments,
+        ProgramCommand::Log(arguments) => return log::run_program(arguments).await,
+    };
     list(arguments, |catalogues| {
         let mut table = Table::new(&["PROGRAM", "SERVICES"]);
         for (robot, programs) in catalogues {

@@ -1,12 +1,12 @@
 //! Implements `rect-router status`: shows the status of robots, one line each.
-use rect_core::text::humanize::duration_of_s;
+use rect_core::{log::level::Level, text::humanize::duration_of_s};
 use rect_terminal::{Cell, Style, Table};
 use serde_json::Value;
 
 use super::{client::show, Failure};
 use crate::args::QueryArgs;
 
-const COLUMNS: [&str; 7] = [
+const COLUMNS: [&str; 8] = [
     "ROBOT",
     "UP",
     "CONNECTED",
@@ -14,6 +14,7 @@ const COLUMNS: [&str; 7] = [
     "?DISCOVERED",
     "?CONNECTS TO",
     "?VERSION",
+    "ALERTS",
 ];
 
 /// Queries and prints the status of robots.
@@ -59,5 +60,23 @@ fn row(robot: &str, status: &Value) -> Vec<Cell> {
             .into(),
         connects_to.into(),
         status["version"].as_str().unwrap_or_default().into(),
+        alerts(&status["alerts"]),
     ]
+}
+
+/// Returns the alerts of a robot in the colour of the most important one.
+fn alerts(alerts: &Value) -> Cell {
+    let alerts = alerts.as_array().into_iter().flatten();
+    let (mut texts, mut worst) = (Vec::new(), Level::Debug);
+    for alert in alerts {
+        let level = alert["level"].as_str().and_then(|level| level.parse().ok());
+        worst = worst.max(level.unwrap_or_default());
+        texts.extend(alert["text"].as_str());
+    }
+    let style = match worst {
+        Level::Error => Style::Wrong,
+        Level::Warn => Style::Poor,
+        Level::Info | Level::Debug => Style::Faint,
+    };
+    Cell::styled(style, texts.join("; "))
 }

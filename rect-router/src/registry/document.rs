@@ -37,6 +37,9 @@ pub struct Status {
     pub delayed_declarations: u64,
     /// Number of its connections.
     pub connections: Counts,
+    /// What is wrong with it (docs/how-to/why.md); left out if there is nothing.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub alerts: Vec<serde_json::Value>,
 }
 
 /// The clock of a robot.

@@ -1,10 +1,12 @@
 //! Drives the question for the alerts of robots.
 use std::time::{Duration, Instant};
 
+use serde_json::json;
+
 use super::{Alert, TOPICS};
 use crate::{
     driver::{Action, Driver, Event, Get, Id, Reaction, Step, Target},
-    message::{retained::Retained, urgency::Qos},
+    message::{retained::Retained, urgency::Qos, Message},
     name::{key::KeySpace, topic::Topic, Name},
     state::{
         page::{read, write, Page, Question},
@@ -28,6 +30,29 @@ pub struct RobotAlert {
 }
 
 impl RobotAlert {
+    /// Reads the retained message of an alert; `None` if it is something else, or says that the alert was cleared.
+    pub fn of(message: &Message) -> Option<Self> {
+        let retained = message.retained.filter(|retained| !retained.is_forgotten)?;
+        Some(Self {
+            robot: message.sender.clone(),
+            topic: message.topic.clone(),
+            alert: Alert::read(&message.topic, &message.payload)?,
+            retained,
+        })
+    }
+
+    /// Returns the alert as a document for programs.
+    pub fn to_json(&self) -> serde_json::Value {
+        json!({
+            "name": self.name(),
+            "text": self.alert.text,
+            "level": self.alert.level,
+            "age_s": self.retained.age.as_secs_f64(),
+            "program": self.alert.program,
+            "has_ended": self.retained.has_ended,
+        })
+    }
+
     /// Returns the name, by which the alert is cleared.
     pub fn name(&self) -> &str {
         let topic = self.topic.as_str();
@@ -63,18 +88,8 @@ impl AlertsQuery {
 
     fn on_page(&mut self, robot: &Name, page: Page) {
         for value in page.records {
-            let message = value.message(robot.clone());
-            let alert = Alert::read(&message.topic, &message.payload);
-            if let (Some(alert), Some(retained)) = (alert, message.retained) {
-                if !retained.is_forgotten {
-                    self.found.push(RobotAlert {
-                        robot: robot.clone(),
-                        topic: message.topic,
-                        alert,
-                        retained,
-                    });
-                }
-            }
+            let alert = RobotAlert::of(&value.message(robot.clone()));
+            self.found.extend(alert);
         }
     }
 }

@@ -22,6 +22,7 @@ use super::{
     Position, GRACE, OF_PROGRAMS, STATE, TOKEN,
 };
 use crate::{
+    alert::query::RobotAlert,
     catalogue::token::{self, Token},
     driver::{
         Action, Answer, Declaration, Driver, Event, Id, QueryId, Reaction, RetainedReply, Sample,
@@ -192,6 +193,19 @@ impl StateKeeper {
             })
         });
         topics.collect()
+    }
+
+    /// Returns the alerts of this robot, in the order of their names.
+    pub fn alerts(&self, now: Instant) -> Vec<RobotAlert> {
+        let own = &self.place.robot;
+        let values = self
+            .store
+            .of(own)
+            .map(|(key, entry)| entry.value(key, own, now));
+        let messages = values.map(|value| value.message(own.clone()));
+        messages
+            .filter_map(|message| RobotAlert::of(&message))
+            .collect()
     }
 
     /// Handles that bytes could not be written to disk, or were.

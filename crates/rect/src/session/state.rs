@@ -5,6 +5,7 @@ use std::{
 };
 
 use rect_core::{
+    alert::query::RobotAlert,
     clock::unix::ms_since_1970,
     driver::Event,
     message::{
@@ -211,6 +212,11 @@ impl KeptState {
     /// Returns whether a topic has a value, so that no program can serve it.
     pub fn has(&self, topic: &Topic) -> bool {
         self.0.driver().has(topic)
+    }
+
+    /// Returns the alerts of the robot.
+    pub fn alerts(&self) -> Vec<RobotAlert> {
+        self.0.driver().alerts(Instant::now())
     }
 
     /// Returns the topics that have a value, in the order of their names.

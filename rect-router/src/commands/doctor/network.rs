@@ -13,7 +13,7 @@ use super::login;
 use crate::{
     args::DoctorArgs,
     commands::client::{answers, session},
-    doctor::{declarations, encryption, names, radio, Finding},
+    doctor::{alerts, declarations, encryption, names, radio, Finding},
     registry::now_s,
 };
 
@@ -58,7 +58,9 @@ pub fn findings(args: &DoctorArgs) -> Vec<Finding> {
     }
     findings.extend(peers(&session));
     findings.extend(clocks(&session));
-    findings.extend(names::findings(&replies(&session, "*/*/@rect/status")));
+    let statuses = replies(&session, "*/*/@rect/status");
+    findings.extend(alerts::findings(&statuses));
+    findings.extend(names::findings(&statuses));
     findings
 }
 
