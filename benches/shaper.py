@@ -29,6 +29,8 @@ class Shaper:
         #: `on`; `silent`: nothing arrives, but connections stay open; `off`: connections end, and new ones fail.
         self.state = "on"
         self.connections = 0
+        #: When the first connection was forwarded, on the monotonic clock; since it was set to `None`.
+        self.connected_at: float | None = None
         self._listener = small_socket()
         self._listener.bind(("127.0.0.1", 0))
         self.port = self._listener.getsockname()[1]
@@ -56,6 +58,7 @@ class Shaper:
             except OSError as error:
                 raise RobotError(f"no program listens behind the shaper: {error}") from error
             self.connections += 1
+            self.connected_at = self.connected_at or time.monotonic()
             for source, sink in ((one, other), (other, one)):
                 source.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
                 threading.Thread(target=self._carry, args=(source, sink), daemon=True).start()

@@ -1,12 +1,13 @@
 """Compares retained topics with zenoh-ext's advanced publishers, MQTT's retained messages and NetworkTables, over a TCP
 link slowed to the rate of Bluetooth: a subscriber that begins late, and values that change during a cut."""
 
+import functools
 import os
 import statistics
 import subprocess
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
@@ -14,7 +15,7 @@ import ntcore
 import paho.mqtt.client as mqtt
 import rect
 import zenoh
-from comparison import rounds
+from comparison import alternate, rounds
 from robots import free_port, is_listening, open_client, rect_settings, wait_until
 from routers import Router
 from shaper import Shaper
@@ -22,9 +23,9 @@ from table import Table
 
 RATE_BYTES_PER_S = 34_000
 TOPICS, CHANGED = 50, 10
-VALUE = "x" * 36
+VALUE_BYTES = 40
 CUT_S = 10.0
-ROUNDS = rounds(3)
+ROUNDS = rounds(5)
 #: How long after the last value bytes are still counted.
 AFTER_S = 2.5
 
@@ -169,6 +170,8 @@ def network_tables() -> Iterator[Peer]:
         yield Peer(shaper, publish, subscribe)
         client.stopClient()
         server.stopServer()
+        for instance in (client, server):
+            ntcore.NetworkTableInstance.destroy(instance)
 
 
 PEERS = {
@@ -198,56 +201,81 @@ class Values:
             return self._changed.wait_for(lambda: expected.items() <= self.last.items(), timeout)
 
 
-def measured(peer: Peer) -> list[float | None]:
-    """Returns time and bytes of a late subscriber, time and bytes after a cut, and the number of values too many."""
-    expected = {topic: f"{VALUE}{topic}" for topic in range(TOPICS)}
-    for topic, value in expected.items():
-        peer.publish(topic, value)
+@dataclass
+class Measured:
+    """The figures of one round. A time is `None` if values have not arrived."""
+
+    late: float | None
+    late_bytes: int
+    after: float | None
+    """The time from the first connection after the cut."""
+    after_bytes: int
+    repeated: int
+    """The number of values that arrived beside those that were expected."""
+
+
+def measured(peer: Peer) -> Measured:
+    """Measures a late subscriber, and values that change during a cut."""
+    expected = {topic: value("", topic) for topic in range(TOPICS)}
+    for topic, text in expected.items():
+        peer.publish(topic, text)
     time.sleep(2.0)
     values = Values()
-    before, began = peer.shaper.carried, time.monotonic()
+    shaper = peer.shaper
+    before, began = shaper.carried, time.monotonic()
     peer.subscribe(values.on_value)
     is_complete = values.until(expected, 30)
     late = time.monotonic() - began if is_complete else None
     time.sleep(AFTER_S)
-    late_bytes = peer.shaper.carried - before
-    peer.shaper.state = "off"
+    late_bytes = shaper.carried - before
+    shaper.state = "off"
     time.sleep(1.0)
     for topic in range(CHANGED):
-        expected[topic] = f"{VALUE}after{topic}"
+        expected[topic] = value("after", topic)
         peer.publish(topic, expected[topic])
     time.sleep(CUT_S - 1.0)
-    count = values.count
-    before, began = peer.shaper.carried, time.monotonic()
-    peer.shaper.state = "on"
+    before = shaper.carried
+    shaper.connected_at = None
+    shaper.state = "on"
     is_complete = values.until(expected, 30)
-    after = time.monotonic() - began if is_complete else None
+    complete = time.monotonic()
     time.sleep(AFTER_S)
-    return [late, late_bytes, after, peer.shaper.carried - before, values.count - count - CHANGED]
+    after = complete - (shaper.connected_at or complete) if is_complete else None
+    repeated = values.count - TOPICS - CHANGED
+    return Measured(late, late_bytes, after, shaper.carried - before, repeated)
+
+
+def value(text: str, topic: int) -> str:
+    """Returns a value that no other topic has."""
+    return f"{text}{topic:02}".rjust(VALUE_BYTES, "x")
 
 
 def run() -> Table:
-    columns = ["", "late subscriber", "bytes", "after the cut", "bytes", "values too many"]
+    columns = ["", "late subscriber", "bytes", "after a cut", "bytes", "repeated values"]
     table = Table(f"{TOPICS} values over a link of {RATE_BYTES_PER_S / 1000:.0f} kB/s", columns)
-    for name, peer in PEERS.items():
-        results = []
-        for _ in range(ROUNDS):
-            with peer() as running:
-                results.append(measured(running))
-        late, late_bytes, after, after_bytes, extra = zip(*results, strict=True)
-        table.add(name, seconds(late), number(late_bytes), seconds(after), number(after_bytes), number(extra))
-        print(f"  {name}", flush=True)
+
+    def candidate(name: str) -> Measured:
+        with PEERS[name]() as running:
+            return measured(running)
+
+    results = alternate(ROUNDS, *(functools.partial(candidate, name) for name in PEERS))
+    for name, found in zip(PEERS, results, strict=True):
+        late, after = seconds([one.late for one in found]), seconds([one.after for one in found])
+        late_bytes, after_bytes = number([one.late_bytes for one in found]), number([one.after_bytes for one in found])
+        table.add(name, late, late_bytes, after, after_bytes, number([one.repeated for one in found]))
     table.notes = [
-        f"Medians of {ROUNDS} rounds. The values have 37 or 38 bytes. A late subscriber: until it has all values, and "
-        f"the bytes that the link carries in both directions until {AFTER_S} s later. The cut ends the connections for "
-        f"{CUT_S:.0f} s, and {CHANGED} values change meanwhile: until they have arrived, from the end of the cut. The "
-        "pause before a client dials again is 1 s, and NetworkTables' own. RECT and zenoh-ext: two rect-routers; MQTT "
-        "and NetworkTables: the subscriber is a client over the link, connected before it subscribes.",
+        f"Medians of {ROUNDS} rounds. The values have {VALUE_BYTES} bytes. A late subscriber: from its call until it "
+        f"has all values, and the bytes that the link carries both ways until {AFTER_S} s later. The cut ends the "
+        f"connections for {CUT_S:.0f} s, and {CHANGED} values change meanwhile: from the first connection after it "
+        f"until they have arrived, and the bytes until {AFTER_S} s later, with those of connecting. The pause before a "
+        "program dials again is not counted. Repeated values: those that the subscriber gets twice, or again although "
+        "they have not changed. RECT and zenoh-ext: two rect-routers, which are connected by the link; MQTT and "
+        "NetworkTables: the subscriber is a client that is connected to the broker or server by the link.",
     ]
     return table
 
 
-def seconds(times: tuple[float | None, ...]) -> str:
+def seconds(times: Sequence[float | None]) -> str:
     """Returns the median of times, of which some may be missing."""
     known = [one for one in times if one is not None]
     missing = len(times) - len(known)
@@ -255,5 +283,5 @@ def seconds(times: tuple[float | None, ...]) -> str:
     return text + (f" ({missing} of {len(times)} never)" if missing and known else "")
 
 
-def number(numbers: tuple[float, ...]) -> str:
+def number(numbers: Sequence[int]) -> str:
     return f"{statistics.median(numbers):,.0f}"
