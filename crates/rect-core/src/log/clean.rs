@@ -3,9 +3,11 @@ use crate::text::display::is_harmful;
 
 const ESCAPE: char = '\u{1b}';
 const REPLACEMENT: char = '\u{fffd}';
+/// Room for the note that a text was cut, in bytes.
+const NOTE: usize = 32;
 
-/// Returns `text` without terminal sequences, with U+FFFD for each other character that must not be printed, and cut after `max`
-/// bytes. Line breaks and tabs stay.
+/// Returns `text` without terminal sequences, with U+FFFD for each other character that must not be printed, and cut so that it has at
+/// most `max` bytes. Line breaks and tabs stay.
 pub fn text(text: &str, max: usize) -> String {
     let mut cleaned = String::with_capacity(text.len().min(max));
     let mut chars = text.trim_end_matches(['\r', '\n']).chars().peekable();
@@ -20,13 +22,21 @@ pub fn text(text: &str, max: usize) -> String {
             c if is_harmful(c) => REPLACEMENT,
             c => c,
         };
-        if cleaned.len() + c.len_utf8() > max {
+        cleaned.push(c);
+        if cleaned.len() > max {
+            cut(&mut cleaned, max.saturating_sub(NOTE));
             cleaned.push_str(&format!("… ({} bytes)", text.len()));
             break;
         }
-        cleaned.push(c);
     }
     cleaned
+}
+
+/// Cuts a text after that many bytes or before, between two characters.
+fn cut(text: &mut String, at: usize) {
+    let is_boundary = |at: &usize| text.is_char_boundary(*at);
+    let at = (0..=at).rev().find(is_boundary).unwrap_or_default();
+    text.truncate(at);
 }
 
 /// Returns `text` as one line.
@@ -84,7 +94,10 @@ mod tests {
 
     #[test]
     fn long_text_is_cut_between_characters_and_says_so() {
-        assert_eq!(text("ääää", 5), "ää… (8 bytes)");
+        let long = "ä".repeat(40);
+        let cut = text(&long, 41);
+        assert_eq!(cut, "ääää… (80 bytes)");
+        assert_eq!(text(&cut, 41), cut, "it is cut once");
         assert_eq!(word("a\nb", 5), "a b");
     }
 }
