@@ -1,13 +1,15 @@
 //! Defines the callbacks that Zenoh's threads call for each message and each request. They append the message or
 //! request to a queue without running Python code.
-use std::time::Instant;
-
 use pyo3::{
     intern,
     prelude::*,
     types::{PyBytes, PyString},
 };
-use rect_core::{catalogue::Instance, message::Undelivered, session::service::ServiceQuery};
+use rect_core::{
+    catalogue::Instance,
+    message::Undelivered,
+    session::service::{Requester, ServiceQuery},
+};
 
 use crate::{
     connection::Links,
@@ -15,6 +17,7 @@ use crate::{
     driver::{bytes_of, is_delete},
     message::{Inbound, MessageMetadata},
     queue::Queue,
+    requester::OpenRequests,
     retry::Once,
 };
 
@@ -29,8 +32,8 @@ pub struct OnMessage {
     subscription: usize,
 }
 
-/// The callback for the requests to a service. It appends each query with its time of arrival to the queue; those to a service also with
-/// the permission to carry them out, or `None`.
+/// The callback for the requests to a service. It appends a tuple to the queue: the query, its requester, the bytes and the encoding of
+/// its payload, and the permission to carry it out, or `None`. For a queryable of another kind, it appends the query alone.
 #[pyclass(frozen, module = "rect._rect")]
 pub struct OnRequest {
     queue: Py<Queue>,
@@ -45,17 +48,12 @@ struct OfService {
     instance: Instance,
     /// The function to call when another program serves the topic.
     on_taken_over: Py<PyAny>,
-    /// The function to call with the id of a request that its requester has closed.
-    on_closed: Py<PyAny>,
+    open: OpenRequests,
     once: Py<Once>,
 }
 
 /// The fields of [`OfService`], as Python passes them.
-type ServiceArguments = (u32, Py<PyAny>, Py<PyAny>, Py<Once>);
-
-/// A point in time.
-#[pyclass(frozen, module = "rect._rect")]
-pub struct Timestamp(Instant);
+type ServiceArguments = (u32, Py<PyAny>, Py<Once>);
 
 #[pymethods]
 impl OnMessage {
@@ -140,15 +138,14 @@ impl OnMessage {
 #[pymethods]
 impl OnRequest {
     /// Creates the callback. `on_refused` is called with a query that arrives while the queue is full. `service` is the run of the
-    /// program, the functions that are called when another program serves the topic, and when a requester has closed the request of an
-    /// id, and what the program carries out at most once.
+    /// program, the function that is called when another program serves the topic, and what the program carries out at most once.
     #[new]
     #[pyo3(signature = (queue, on_refused, service=None))]
     fn new(queue: Py<Queue>, on_refused: Py<PyAny>, service: Option<ServiceArguments>) -> Self {
-        let service = service.map(|(instance, on_taken_over, on_closed, once)| OfService {
+        let service = service.map(|(instance, on_taken_over, once)| OfService {
             instance: Instance(instance),
             on_taken_over,
-            on_closed,
+            open: OpenRequests::default(),
             once,
         });
         Self {
@@ -159,48 +156,77 @@ impl OnRequest {
     }
 
     fn __call__(&self, py: Python<'_>, query: Py<PyAny>) -> PyResult<()> {
-        let arrived_at = Timestamp(Instant::now());
-        let (query, item) = if let Some(service) = &self.service {
-            let parameters = query.getattr(py, intern!(py, "parameters"))?;
-            let meaning = ServiceQuery::of(&parameters.bind(py).str()?.to_cow()?, service.instance);
-            match meaning {
-                ServiceQuery::Request => {}
-                ServiceQuery::Ping => {
-                    let key = query.getattr(py, intern!(py, "key_expr"))?;
-                    query.call_method1(py, intern!(py, "reply"), (key, PyBytes::new(py, b"")))?;
-                }
-                ServiceQuery::TakenOver => {
-                    service.on_taken_over.call0(py)?;
-                }
-                ServiceQuery::Closed(id) => {
-                    service.on_closed.call1(py, (id.to_string(),))?;
-                }
-                ServiceQuery::OfAnother => {}
-            }
-            if meaning != ServiceQuery::Request {
-                query.call_method0(py, intern!(py, "drop"))?;
-                return Ok(());
-            }
-            let Some((query, execution)) = service.once.get().admit(py, query)? else {
-                return Ok(());
-            };
-            let item = (query.clone_ref(py), arrived_at, execution).into_pyobject(py)?;
-            (query, item.into_any())
-        } else {
-            let item = (query.clone_ref(py), arrived_at).into_pyobject(py)?;
-            (query, item.into_any())
+        let (query, item) = match &self.service {
+            Some(service) => match service.admit(py, query)? {
+                Some(admitted) => admitted,
+                None => return Ok(()),
+            },
+            None => (query.clone_ref(py), query),
         };
-        if !self.queue.get().push(py, item.unbind())? {
+        if !self.queue.get().push(py, item)? {
             self.on_refused.call1(py, (query,))?;
         }
         Ok(())
     }
 }
 
-#[pymethods]
-impl Timestamp {
-    /// Returns the time since this point, in seconds.
-    fn ago(&self) -> f64 {
-        self.0.elapsed().as_secs_f64()
+impl OfService {
+    /// Handles a query. Returns it with the item for the queue if the program is to carry it out.
+    fn admit(&self, py: Python<'_>, query: Py<PyAny>) -> PyResult<Option<(Py<PyAny>, Py<PyAny>)>> {
+        let bound = query.bind(py);
+        let parameters = bound.getattr(intern!(py, "parameters"))?.str()?;
+        let key = bound.getattr(intern!(py, "key_expr"))?;
+        match ServiceQuery::of(&parameters.to_cow()?, self.instance) {
+            ServiceQuery::Request => {
+                let attachment = bound.getattr(intern!(py, "attachment"))?;
+                let attachment = (!attachment.is_none())
+                    .then(|| bytes_of(&attachment))
+                    .transpose()?;
+                let attachment = attachment.as_ref().map(|bytes| bytes.extract::<&[u8]>());
+                let requester = Requester::of(&key.str()?.to_cow()?, attachment.transpose()?);
+                if let Some(requester) = requester {
+                    return self.admit_request(py, query, requester);
+                }
+            }
+            ServiceQuery::Ping => {
+                bound.call_method1(intern!(py, "reply"), (key, PyBytes::new(py, b"")))?;
+            }
+            ServiceQuery::TakenOver => {
+                self.on_taken_over.call0(py)?;
+            }
+            ServiceQuery::Closed(id) => self.open.on_closed(py, id)?,
+            ServiceQuery::OfAnother => {}
+        }
+        bound.call_method0(intern!(py, "drop"))?;
+        Ok(None)
+    }
+
+    fn admit_request(
+        &self,
+        py: Python<'_>,
+        query: Py<PyAny>,
+        requester: Requester,
+    ) -> PyResult<Option<(Py<PyAny>, Py<PyAny>)>> {
+        let once = self.once.get();
+        let Some((query, execution)) = once.admit(py, requester.header.as_ref(), query)? else {
+            return Ok(None);
+        };
+        let bound = query.bind(py);
+        let payload = bound.getattr(intern!(py, "payload"))?;
+        let bytes = match payload.is_none() {
+            true => PyBytes::new(py, b"").into_any(),
+            false => bytes_of(&payload)?,
+        };
+        let encoding = bound.getattr(intern!(py, "encoding"))?;
+        let encoding = match encoding.is_none() {
+            true => intern!(py, "zenoh/bytes").clone(),
+            false => encoding.str()?,
+        };
+        let requester = self.open.add(requester);
+        let item = (bound, requester, bytes, encoding, execution)
+            .into_pyobject(py)?
+            .into_any()
+            .unbind();
+        Ok(Some((query, item)))
     }
 }

@@ -23,6 +23,7 @@ mod queue;
 mod recipients;
 mod recording;
 mod request;
+mod requester;
 mod retry;
 mod router;
 mod settings;
@@ -42,7 +43,7 @@ mod _rect {
     #[pymodule_export]
     use crate::{
         attachment::{read_attachment, write_attachment},
-        callback::{OnMessage, OnRequest, Timestamp},
+        callback::{OnMessage, OnRequest},
         codec::{decode, Codec, Dictionary},
         connection::{named_connection, Links},
         counters::AtomicCounters,
@@ -71,9 +72,9 @@ mod _rect {
         recipients::Recipients,
         recording::{Recorder, RecordingReader},
         request::{
-            busy_reply, end_of_replies, error_encoding, Inquiry, RequestIds, Requester, Sent,
-            Served, Unsent,
+            busy_reply, end_of_replies, error_encoding, Inquiry, RequestIds, Sent, Served, Unsent,
         },
+        requester::Requester,
         retry::{retried_request, Execution, Once},
         router::{check_router, default_login_file, robot_of_router, JoinAttempts},
         settings::{default_router, session_settings},

@@ -9,7 +9,7 @@ use pyo3::{
     types::{PyBytes, PyTuple},
 };
 use rect_core::{
-    catalogue::{requester_wait::RequesterWait, Instance},
+    catalogue::Instance,
     message::{
         encoding::Encoding,
         payload::Payload,
@@ -24,9 +24,8 @@ use rect_core::{
 };
 
 use crate::{
-    clock::Clock,
     codec::{parts, payload, Parts},
-    driver::{bytes_of, get, lock, seconds, Driver},
+    driver::{bytes_of, get, lock, seconds},
     key_space::{name, AnyTopic, KeySpace},
     urgency,
 };
@@ -70,6 +69,18 @@ impl Inquiry {
     ) -> PyResult<Bound<'py, PyTuple>> {
         let urgency = urgency::parse(py, urgency)?;
         get(py, 0, lock(&self.0).get(payload(bytes, encoding), urgency))
+    }
+
+    /// Creates another request to the same service. Returns it with its attachment.
+    fn another<'py>(
+        &self,
+        py: Python<'py>,
+        timeout_s: f64,
+        ids: &RequestIds,
+    ) -> (Self, Bound<'py, PyBytes>) {
+        let another = lock(&self.0).another(seconds(timeout_s), &ids.0);
+        let attachment = PyBytes::new(py, &another.header().encode());
+        (Self(Mutex::new(another)), attachment)
     }
 
     /// Returns the meaning of a reply of Zenoh; `None` for the mark that ends a stream.
@@ -181,6 +192,12 @@ impl Served {
         self.0.on_matching(is_served);
     }
 
+    /// Whether somebody serves the key, as far as Zenoh has reported.
+    #[getter]
+    fn is_served(&self) -> bool {
+        self.0.is_served()
+    }
+
     /// Returns the state before a request is sent.
     fn unsent(&self) -> Unsent {
         Unsent(self.0.unsent())
@@ -206,49 +223,6 @@ impl Unsent {
             })
         });
         failed.map_or(Ok(Sent(sent)), Err)
-    }
-}
-
-/// The sender of a request.
-#[pyclass(frozen, module = "rect._rect")]
-pub struct Requester(service::Requester);
-
-#[pymethods]
-impl Requester {
-    /// Returns the sender of a query with that key expression and attachment. `None` if the query is not a request.
-    #[staticmethod]
-    fn of(key: &str, attachment: Option<&[u8]>) -> Option<Self> {
-        service::Requester::of(key, attachment).map(Self)
-    }
-
-    /// Name of the robot. `None` if its program does not use RECT.
-    #[getter]
-    fn robot(&self) -> Option<String> {
-        self.0.robot().map(ToString::to_string)
-    }
-
-    /// Time that it waits, in seconds.
-    #[getter]
-    fn timeout(&self) -> f64 {
-        self.0.timeout().as_secs_f64()
-    }
-
-    /// Id of the request. `None` if its program does not use RECT.
-    #[getter]
-    fn id(&self) -> Option<String> {
-        self.0.header.as_ref().map(|header| header.id.to_string())
-    }
-
-    /// Whether it expects several replies, and the mark of the last one.
-    #[getter]
-    fn is_stream(&self) -> bool {
-        (self.0.header.as_ref()).is_some_and(|header| header.is_stream)
-    }
-
-    /// Creates the wait for the end of its program or robot. `None` if the request does not name them.
-    fn wait(&self, key_space: &KeySpace) -> Option<Driver> {
-        let wait = RequesterWait::new(key_space.0.clone(), &self.0)?;
-        Some(Driver::new(wait, &Clock::new()))
     }
 }
 

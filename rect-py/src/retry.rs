@@ -21,7 +21,7 @@ use rect_core::{
 use crate::{
     clock::Clock,
     codec::{parts, payload},
-    driver::{bytes_of, lock, Driver, ToPython},
+    driver::{lock, Driver, ToPython},
     errors::raised,
     key_space::name,
     program::Catalogues,
@@ -50,15 +50,16 @@ impl Once {
 }
 
 impl Once {
-    /// Handles the query of a request. Returns it if the program is to carry it out; any other one has been answered or waits.
-    pub fn admit(&self, py: Python<'_>, query: Py<PyAny>) -> PyResult<Option<Admitted>> {
-        let attachment = query.bind(py).getattr(intern!(py, "attachment"))?;
-        let header = match attachment.is_none() {
-            true => None,
-            false => RequestHeader::decode(bytes_of(&attachment)?.extract()?),
-        };
+    /// Handles the query of a request with that header. Returns it if the program is to carry it out; any other one has been answered or
+    /// waits.
+    pub fn admit(
+        &self,
+        py: Python<'_>,
+        header: Option<&RequestHeader>,
+        query: Py<PyAny>,
+    ) -> PyResult<Option<Admitted>> {
         let now = Instant::now();
-        let ended = match self.0.on_request(now, header.as_ref(), query) {
+        let ended = match self.0.on_request(now, header, query) {
             Admission::Execute(query, execution) => {
                 return Ok(Some((query, execution.map(Execution))));
             }

@@ -11,11 +11,13 @@ from rect import _rect
 from rect._zenoh import direct, zenoh_error
 from rect.errors import CodecError, RectError
 from rect.executor import Executor
-from rect.values import Payload
+from rect.values import BYTES, CBOR, JSON, TEXT, Payload
 
 if TYPE_CHECKING:
     from rect.session import Session
 
+#: Encodings of payloads that no codec has encoded, as most are.
+_PLAIN = frozenset((JSON, CBOR, TEXT, BYTES))
 _LOG = logging.getLogger("rect")
 
 
@@ -29,6 +31,8 @@ class Decoder:
 
     def payload(self, sender: str, payload: Payload) -> Payload:
         """Decodes a payload of that sender; fetches a missing dictionary first. Raises `CodecError`."""
+        if payload.encoding in _PLAIN:
+            return payload
         try:
             return self.payload_now(sender, payload)
         except CodecError as error:

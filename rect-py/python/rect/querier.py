@@ -1,4 +1,4 @@
-"""Observes whether somebody serves what a program requests."""
+"""Observes whether somebody serves what a program requests, and prepares its requests."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 import zenoh
 
 from rect import _rect
-from rect._zenoh import direct, undeclared, zenoh_error
+from rect._zenoh import direct, get_arguments, undeclared, zenoh_error
 
 
 class Querier:
@@ -42,3 +42,23 @@ class Querier:
         """Ends the reports."""
         undeclared(self._listener)
         undeclared(self._querier)
+
+
+class Destination:
+    """A service of one robot, with what all requests to it have in common."""
+
+    def __init__(self, key_space: _rect.KeySpace, ids: _rect.RequestIds, robot: str, topic: str, urgency: str) -> None:
+        #: The robot and the topic.
+        self.asked = robot, topic
+        self.urgency = urgency
+        #: The request of which each one is another.
+        self.inquiry = _rect.Inquiry(key_space, robot, topic, 0, ids, False)
+        _, _, *query = self.inquiry.get(b"", "", urgency)
+        #: The key of the service.
+        self.key, self.arguments = get_arguments(*query)
+        for name in ("payload", "encoding", "attachment", "timeout"):
+            del self.arguments[name]
+        #: The key, parsed.
+        self.key_expr = zenoh.KeyExpr(self.key)
+        #: Whether somebody serves the key; set when it is observed.
+        self.served: _rect.Served

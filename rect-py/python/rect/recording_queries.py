@@ -25,9 +25,7 @@ class RecordingQueries:
     def __init__(self, session: Session, recorder: _rect.Recorder) -> None:
         self._session = session
         self._recorder = recorder
-        self._queue: ReceiveQueue[tuple[zenoh.Query, _rect.Timestamp]] = ReceiveQueue(
-            _rect.RECORDING_QUERIES, "drop_newest"
-        )
+        self._queue: ReceiveQueue[zenoh.Query] = ReceiveQueue(_rect.RECORDING_QUERIES, "drop_newest")
         self._declared = Declared(session, self._queue)
         on_query = direct(_rect.OnRequest(self._queue.queue, self._refuse))
         try:
@@ -58,7 +56,7 @@ class RecordingQueries:
     def _answer_all(self) -> None:
         while True:
             try:
-                query, _ = self._queue.pop()
+                query = self._queue.pop()
             except Ended:
                 return
             try:

@@ -190,7 +190,7 @@ class Replies(Generic[T]):
         self._session.receive_queues.discard(self._queue)
         # A request that has a reply ends by itself.
         if not self._queue.queue.is_finished and not self._inquiry.is_started:
-            self._announce_close()
+            announce_close(self._session, self._inquiry)
             self._session.abandoned.append(self)
 
     def end(self) -> None:
@@ -202,19 +202,10 @@ class Replies(Generic[T]):
         self._queue.close()
         self._session.receive_queues.discard(self._queue)
         if not self._queue.queue.is_finished and not self._session.is_closed:
-            self._announce_close()
+            announce_close(self._session, self._inquiry)
             # This waits for a running callback; since the queue is closed, that callback does not block.
             with self._session.calls:
                 self._cancellation.cancel()
-
-    def _announce_close(self) -> None:
-        """Lets the service know that nobody waits, if it has not replied."""
-        closing = self._inquiry.close()
-        if closing is not None:
-            _, _, *query = closing
-            selector, arguments = get_arguments(*query)
-            with contextlib.suppress(zenoh.ZError, Closed), self._session.calls:
-                self._session.zenoh.get(selector, direct(_ignore), **arguments)
 
     def __enter__(self) -> Replies[T]:
         return self
@@ -253,7 +244,7 @@ class Replies(Generic[T]):
         kind, robot, payload = meaning
         if kind == "timed_out":
             raise self.timed_out()
-        return _received_of(self._session, self._converter, kind, robot, Payload(*payload))
+        return received_of(self._session, self._converter, kind, robot, Payload(*payload))
 
 
 class RetriedRequest(Generic[T]):
@@ -300,7 +291,7 @@ class RetriedRequest(Generic[T]):
             raise Closed
         if kind == "timed_out":
             raise TimedOut(self._inquiry.expected, self._timeout)
-        _, reply = _received_of(self._session, self._converter, kind, robot, Payload(*payload))
+        _, reply = received_of(self._session, self._converter, kind, robot, Payload(*payload))
         if isinstance(reply, RectError):
             raise reply
         return reply
@@ -311,7 +302,19 @@ class RetriedRequest(Generic[T]):
         self._executor.wake()
 
 
-def _received_of(
+def announce_close(session: Session, inquiry: _rect.Inquiry) -> bool:
+    """Lets the service know that nobody waits. Returns whether it may wait for that, because it has not replied."""
+    closing = inquiry.close()
+    if closing is None:
+        return False
+    _, _, *query = closing
+    selector, arguments = get_arguments(*query)
+    with contextlib.suppress(zenoh.ZError, Closed), session.calls:
+        session.zenoh.get(selector, direct(_ignore), **arguments)
+    return True
+
+
+def received_of(
     session: Session, converter: Converter[T] | None, kind: str, robot: str | None, payload: Payload
 ) -> Received[T]:
     """Returns the reply or error of a service."""

@@ -28,6 +28,7 @@ from rect.registry import Connections
 from rect.reply import Reply
 from rect.request import Replies, RetriedRequest
 from rect.service import Request, Service
+from rect.single_request import SingleRequest
 from rect.state import Retain, retention
 from rect.stop import FleetStop, fleet_stop
 from rect.stream import Frame, StreamSender, Watcher
@@ -456,7 +457,17 @@ class Robot:
             if once is not None:
                 return once
             timeout = retried.remaining
-        replies = self._request(text("robot", robot), topic, value, returns, timeout, urgency, codec)
+        session = self._session
+        session.check()
+        converter = converter_of(returns)
+        payload = payload_of(value, codec_of(codec))
+        timeout = seconds("timeout", timeout)
+        robot, topic = text("robot", robot), text("topic", topic)
+        text("urgency", urgency)
+        destination = session.destination(robot, topic, urgency)
+        if destination.served.is_served:
+            return SingleRequest(session, destination, payload, timeout).run(converter)
+        replies = Replies(session, robot, topic, payload, urgency, timeout, converter)
         try:
             for reply in replies:
                 return reply

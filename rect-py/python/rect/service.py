@@ -11,23 +11,26 @@ import time
 import types
 import typing
 from collections.abc import Callable, Generator
-from typing import TYPE_CHECKING, Any, Generic
+from typing import TYPE_CHECKING, Any, Generic, Optional
 
 import zenoh
 
 from rect import _rect
-from rect._zenoh import direct, payload_bytes, zenoh_error
+from rect._zenoh import direct, zenoh_error
 from rect.advice import on_problem
 from rect.declared import Declared
 from rect.errors import Closed, CodecError, MismatchError, PayloadError, RectError
+from rect.executor import Executor
 from rect.message import UNREAD
 from rect.receive_queue import Ended, ReceiveQueue
-from rect.requester import OpenRequests, Waiting
 from rect.typed import Converter, T, converter_of
 from rect.values import Payload, payload_of
 
 if TYPE_CHECKING:
     from rect.session import Session
+
+#: What arrives at a service: the query, its requester, the payload, and the permission to carry it out, if needed.
+Admitted = tuple[zenoh.Query, _rect.Requester, bytes, str, Optional[_rect.Execution]]
 
 _LOG = logging.getLogger("rect")
 
@@ -54,11 +57,12 @@ class Request(Generic[T]):
     __slots__ = (
         "_execution",
         "_key",
+        "_observer",
         "_query",
         "_replies",
+        "_requester",
         "_session",
         "_value",
-        "_waiting",
         "deadline",
         "payload",
         "sender",
@@ -68,18 +72,18 @@ class Request(Generic[T]):
         self,
         query: zenoh.Query,
         requester: _rect.Requester,
-        waiting: Waiting,
+        payload: Payload,
+        remaining: float,
         session: Session,
         key: str,
-        age: float = 0,
-        execution: _rect.Execution | None = None,
+        execution: _rect.Execution | None,
     ) -> None:
-        encoding = query.encoding
         self._query = query
         self._session = session
         self._key = key
         self._value = UNREAD
-        self._waiting = waiting
+        self._requester = requester
+        self._observer: Executor | None = None
         #: The number of replies so far, if the requester counts them.
         self._replies = 0 if requester.is_stream else None
         #: Takes the result, if the request is carried out at most once.
@@ -88,9 +92,9 @@ class Request(Generic[T]):
         #: The name is not verified: do not base permissions on it.
         self.sender = requester.robot
         #: The payload: bytes with an encoding.
-        self.payload = Payload(payload_bytes(query.payload), "zenoh/bytes" if encoding is None else str(encoding))
+        self.payload = payload
         #: Time at which the requester stops waiting, by `time.monotonic()`.
-        self.deadline = time.monotonic() - age + requester.timeout
+        self.deadline = time.monotonic() + remaining
 
     @property
     def value(self) -> T:
@@ -121,8 +125,8 @@ class Request(Generic[T]):
         and that of a stock Zenoh program never. The first use begins to observe the requester, which sends nothing on
         the air.
         """
-        self._waiting.observe()
-        return not self._waiting.has_left and self.remaining > 0
+        self._observe()
+        return not self._requester.has_left and self.remaining > 0
 
     async def unwanted(self) -> None:
         """Waits until nobody waits for a reply any more (`is_wanted`), for `async` handlers."""
@@ -133,15 +137,22 @@ class Request(Generic[T]):
                 # The loop may have ended.
                 loop.call_soon_threadsafe(left.set)
 
-        await asyncio.to_thread(self._waiting.observe)
-        self._waiting.on_left(on_left)
+        await asyncio.to_thread(self._observe)
+        self._requester.on_left(on_left)
         with contextlib.suppress(asyncio.TimeoutError):
             await asyncio.wait_for(left.wait(), self.remaining)
 
     @property
     def has_left(self) -> bool:
         """Whether the requester has closed the request. Unlike `is_wanted`, this observes nothing."""
-        return self._waiting.has_left
+        return self._requester.has_left
+
+    def _observe(self) -> None:
+        """Begins to observe the program and the robot of the requester, once."""
+        driver = self._requester.observe(self._session.key_space)
+        if driver is not None:
+            self._observer = Executor(self._session, driver)
+            self._observer.start("rect requester", self._requester.leave)
 
     def reply_all(self, values: Generator[Any, Any, Any]) -> None:
         """Sends each value as a reply, until there are no more or the requester has left."""
@@ -185,14 +196,16 @@ class Request(Generic[T]):
 
     def close(self) -> None:
         """Ends the request: no more replies follow."""
-        self._waiting.end()
+        if self._observer is not None:
+            self._observer.end()
         self._query.drop()
         # A repetition of a request that has no reply yet will get none.
         self._execution = None
 
     def _answer(self, key: str | None, payload: bytes, encoding: str) -> None:
         """Sends a reply, or an error (`None`), also to a repetition of the request that waits for it."""
-        repeated = None if self._execution is None else self._execution.on_result(key, payload, encoding)
+        execution = self._execution
+        repeated = None if execution is None else execution.on_result(key, payload, encoding)
         try:
             with self._session.calls:
                 for query in (self._query,) if repeated is None else (repeated, self._query):
@@ -242,12 +255,9 @@ class Requests:
         self._converter = converter
         #: Held while the router is asked whether another program serves the topic.
         self._checking = threading.Lock()
-        self._queue: ReceiveQueue[tuple[zenoh.Query, _rect.Timestamp, _rect.Execution | None]] = ReceiveQueue(
-            _rect.SERVICE_CAPACITY, "drop_newest"
-        )
+        self._queue: ReceiveQueue[Admitted] = ReceiveQueue(_rect.SERVICE_CAPACITY, "drop_newest")
         self._key = session.key_space.publication(topic)
-        self._open = OpenRequests()
-        service = (session.program.instance, self._on_taken_over, self._open.on_closed, session.program.once)
+        service = (session.program.instance, self._on_taken_over, session.program.once)
         on_request = _rect.OnRequest(self._queue.queue, _refuse_overload(session.key_space.robot), service)
         self._declared = Declared(session, self._queue, lambda: session.program.end(topic))
         try:
@@ -272,26 +282,25 @@ class Requests:
                 return request
 
     def _request(
-        self, query: zenoh.Query, arrived_at: _rect.Timestamp, execution: _rect.Execution | None
+        self,
+        query: zenoh.Query,
+        requester: _rect.Requester,
+        bytes: bytes,
+        encoding: str,
+        execution: _rect.Execution | None,
     ) -> Request[Any] | None:
-        """Returns the request that a query makes. Any other query, and a closed request, end without a reply."""
-        attachment = query.attachment
-        requester = _rect.Requester.of(str(query.key_expr), None if attachment is None else attachment.to_bytes())
-        waiting = None if requester is None else self._open.add(self._session, requester)
-        if requester is None or waiting is None:
+        """Returns a request. One that is closed, or too late, ends without a reply."""
+        remaining = requester.remaining()
+        if remaining == 0:
             query.drop()
             return None
-        return Request(query, requester, waiting, self._session, self._key, arrived_at.ago(), execution)
+        return Request(query, requester, Payload(bytes, encoding), remaining, self._session, self._key, execution)
 
     def _decode(self, request: Request[Any]) -> bool:
         """Decodes the request, and returns whether to handle it.
 
-        One that cannot be decoded, or whose value does not fit, is answered with the error. One that is too late is
-        dropped.
+        One that cannot be decoded, or whose value does not fit, is answered with the error.
         """
-        if request.remaining == 0:
-            request.close()
-            return False
         sender = request.sender or self._session.key_space.robot
         try:
             request.payload = self._session.decoder.payload(sender, request.payload)

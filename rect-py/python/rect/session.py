@@ -21,8 +21,7 @@ from rect._zenoh import call_interruptibly, qos, zenoh_error
 from rect.errors import Closed, ThreadError
 from rect.options import Options
 from rect.publication import Publication
-from rect.querier import Querier
-from rect.receive_queue import ReceiveQueue
+from rect.querier import Destination, Querier
 from rect.urgency_sessions import UrgencySessions
 from rect.values import Payload
 from rect.zenoh_calls import ZenohCalls
@@ -33,6 +32,16 @@ class Ending(Protocol):
 
     def end(self) -> None:
         """Ends it. May block."""
+
+
+class Waited(Protocol):
+    """Something that a call waits for."""
+
+    def close(self) -> None:
+        """Ends the wait."""
+
+    def on_fork(self) -> None:
+        """Drops what belongs to threads of the parent in a child process."""
 
 
 class Declaring(Ending, Protocol):
@@ -145,8 +154,8 @@ class Session:
         self.handles: set[Declaring] = set()
         #: Garbage-collected handles; `check` ends them, since that may block.
         self.abandoned: deque[Ending] = deque()
-        #: Queues at which a call waits for replies.
-        self.receive_queues: set[ReceiveQueue[Any]] = set()
+        #: Queues at which calls wait for replies, and requests that wait for one.
+        self.receive_queues: set[Waited] = set()
         #: Functions to call on close, before the Zenoh sessions are closed.
         self.close_callbacks: list[Callable[[], object]] = []
         #: Calls of Zenoh that are in progress.
@@ -156,6 +165,7 @@ class Session:
         self._why_closed: str | None = None
         self._publications: dict[tuple[str, str | None, str, bool], Publication] = {}
         self._queriers: dict[tuple[str, str], Querier] = {}
+        self._destinations: dict[tuple[str, str, str], Destination] = {}
         #: Last catalogues of robots.
         self.catalogues = _rect.Catalogues()
         #: Presence of this program; set when the session is complete.
@@ -222,12 +232,23 @@ class Session:
             if len(self._queriers) >= _rect.MAX_DECLARATIONS:
                 removed = list(self._queriers.values())
                 self._queriers.clear()
+                self._destinations.clear()
             # Another thread may have declared one in the meantime; either will do.
             self._queriers[urgency, key] = querier
         with self.calls:
             for one in removed:
                 one.undeclare()
         return querier
+
+    def destination(self, robot: str, topic: str, urgency: str) -> Destination:
+        """Returns a service of a robot, and declares its querier if necessary."""
+        destination = self._destinations.get((robot, topic, urgency))
+        if destination is not None:
+            return destination
+        destination = Destination(self.key_space, self.program.request_ids, robot, topic, urgency)
+        destination.served = self.querier(urgency, destination.key).served
+        self._destinations[robot, topic, urgency] = destination
+        return destination
 
     def publish(
         self, topic: str, recipient: str | None, payload: Payload, urgency: str, lifetime: float | None

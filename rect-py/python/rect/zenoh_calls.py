@@ -15,21 +15,24 @@ class ZenohCalls:
 
     def __init__(self, closed_error: Callable[[], Exception]) -> None:
         self._closed_error = closed_error
-        self._changed = threading.Condition()
+        # The lock itself is faster than the condition.
+        self._lock = threading.Lock()
+        self._changed = threading.Condition(self._lock)
         self._count = 0
         self._has_ended = False
 
     def __enter__(self) -> None:
         """Begins a call. Raises `Closed` if the session is closed."""
-        with self._changed:
+        with self._lock:
             if self._has_ended:
                 raise self._closed_error()
             self._count += 1
 
     def __exit__(self, *_: object) -> None:
-        with self._changed:
+        with self._lock:
             self._count -= 1
-            self._changed.notify_all()
+            if self._has_ended:
+                self._changed.notify_all()
 
     def end(self, timeout: float) -> None:
         """Allows no more calls, and waits until none is in progress, for at most `timeout` seconds."""

@@ -79,6 +79,13 @@ impl Inquiry {
         }
     }
 
+    /// Creates another request to the same service. It has an id of its own, and no reply yet.
+    #[must_use]
+    pub fn another(&self, timeout: Duration, ids: &RequestIds) -> Self {
+        let (place, robot, topic) = (self.place.clone(), self.robot.clone(), self.topic.clone());
+        Self::new(place, robot, topic, timeout, ids)
+    }
+
     /// Requests several replies, the last of which is marked.
     #[must_use]
     pub fn stream(mut self) -> Self {
@@ -125,6 +132,11 @@ impl Inquiry {
                 timeout,
             )
         }
+    }
+
+    /// Returns the header of the request.
+    pub fn header(&self) -> &RequestHeader {
+        &self.header
     }
 
     /// Returns the meaning of a reply; `None` for the mark that ends a stream.

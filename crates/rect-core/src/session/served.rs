@@ -37,6 +37,11 @@ impl Served {
             .fetch_update(Ordering::Relaxed, Ordering::Relaxed, changed);
     }
 
+    /// Returns whether somebody serves the key, as far as Zenoh has reported.
+    pub fn is_served(&self) -> bool {
+        is_odd(self.0.load(Ordering::Relaxed))
+    }
+
     /// Returns the state before a request is sent.
     pub fn unsent(&self) -> Unsent {
         Unsent(self.0.load(Ordering::Relaxed))
@@ -98,7 +103,9 @@ mod tests {
     #[test]
     fn request_to_a_service_that_was_known_may_have_been_carried_out_however_fast_it_ended() {
         let served = Served::default();
+        assert!(!served.is_served());
         served.on_matching(true);
+        assert!(served.is_served());
         let known = sent(&served, true, true);
         served.on_matching(false);
         assert_eq!(served.unanswered(known), Unanswered::Interrupted);
