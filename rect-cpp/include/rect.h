@@ -708,6 +708,9 @@ typedef struct rect_reply {
     struct rect_text sender;
     // The payload.
     struct rect_payload payload;
+    // Whether the service shares its topic with other programs of the robot (`allow_several`). They have received the request, too,
+    // and carry it out.
+    bool is_shared;
 } rect_reply;
 
 // The replies to one request, in the order of arrival. `rect_drop(&replies.id, ..)` cancels the request.

@@ -24,6 +24,9 @@ pub struct Reply {
     pub sender: Text,
     /// The payload.
     pub payload: PayloadView,
+    /// Whether the service shares its topic with other programs of the robot (`allow_several`). They have received the request, too,
+    /// and carry it out.
+    pub is_shared: bool,
 }
 
 /// The replies to one request, in the order of arrival. `rect_drop(&replies.id, ..)` cancels the request.
@@ -101,11 +104,13 @@ fn into_c(reply: rect::Reply) -> Reply {
         Text::of(owned.0.sender.as_str()),
         PayloadView::of(&owned.0.payload),
     );
+    let is_shared = owned.0.is_shared;
     let id = handle::insert_shared(owned);
     Reply {
         id,
         sender,
         payload,
+        is_shared,
     }
 }
 

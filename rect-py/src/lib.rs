@@ -89,12 +89,15 @@ mod _rect {
         value::{read_value, write_value},
     };
 
-    use pyo3::prelude::*;
+    use pyo3::{prelude::*, types::PyBytes};
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         use rect_core::{
-            message::{queue::DEFAULT_CAPACITY, request::DEFAULT_TIMEOUT_MS},
+            message::{
+                queue::DEFAULT_CAPACITY,
+                request::{DEFAULT_TIMEOUT_MS, SHARED_REPLY},
+            },
             parameters::order,
             registry::named_connection,
             session::{
@@ -126,6 +129,7 @@ mod _rect {
         module.add("ROBOT_TIMEOUT_S", router::ROBOT_TIMEOUT.as_secs_f64())?;
         module.add("ROUTER_VARIABLE", endpoint::ROUTER_VARIABLE)?;
         module.add("SERVICE_CAPACITY", service::CAPACITY)?;
+        module.add("SHARED_REPLY", PyBytes::new(module.py(), &SHARED_REPLY))?;
         module.add("STOP_AGAIN_AFTER_S", stop::AGAIN_AFTER.as_secs_f64())?;
         module.add("STOP_MARKED_WITHIN_S", stop::MARKED_WITHIN.as_secs_f64())?;
         module.add("STOP_TOPIC", stop::TOPIC)?;

@@ -31,8 +31,8 @@ use crate::{
 };
 
 /// The meaning of a reply: `answer` or `error`, each with the robot (`None` if it does not use RECT) and the payload, `timed_out`, or
-/// `not_of_a_robot` with the key.
-pub type KindParts<'py> = (&'static str, Option<String>, Parts<'py>);
+/// `not_of_a_robot` with the key; and whether other programs of the robot may have received the request, too.
+pub type KindParts<'py> = (&'static str, Option<String>, Parts<'py>, bool);
 
 /// A request to services.
 #[pyclass(frozen, module = "rect._rect")]
@@ -143,15 +143,20 @@ impl Inquiry {
 pub fn kind_parts(py: Python<'_>, kind: ReplyKind) -> KindParts<'_> {
     let nothing = || (PyBytes::new(py, &[]), String::new());
     match kind {
-        ReplyKind::Answer { sender, payload } => {
-            ("answer", Some(sender.to_string()), parts(py, &payload))
+        ReplyKind::Answer {
+            sender,
+            payload,
+            is_shared,
+        } => {
+            let sender = Some(sender.to_string());
+            ("answer", sender, parts(py, &payload), is_shared)
         }
         ReplyKind::Error { robot, payload } => {
             let robot = robot.map(|robot| robot.to_string());
-            ("error", robot, parts(py, &payload))
+            ("error", robot, parts(py, &payload), false)
         }
-        ReplyKind::TimedOut => ("timed_out", None, nothing()),
-        ReplyKind::NotOfARobot { key } => ("not_of_a_robot", Some(key), nothing()),
+        ReplyKind::TimedOut => ("timed_out", None, nothing(), false),
+        ReplyKind::NotOfARobot { key } => ("not_of_a_robot", Some(key), nothing(), false),
     }
 }
 

@@ -144,9 +144,9 @@ impl ToPython for Outcome {
         let nothing = || (PyBytes::new(py, &[]), String::new());
         let outcome: KindParts<'_> = match self {
             Self::Replied(kind) => kind_parts(py, kind),
-            Self::Plain => ("plain", None, nothing()),
-            Self::Interrupted => ("interrupted", None, nothing()),
-            Self::Closed => ("closed", None, nothing()),
+            Self::Plain => ("plain", None, nothing(), false),
+            Self::Interrupted => ("interrupted", None, nothing(), false),
+            Self::Closed => ("closed", None, nothing(), false),
         };
         outcome.into_py_any(py)
     }

@@ -265,7 +265,9 @@ def test_several_programs_that_allow_it_serve_one_topic(routers: Routers) -> Non
         until(lambda: replies() == ["left", "right"])
         # A request to one robot reaches both programs, and returns the reply that arrives first.
         received.clear()
-        assert other.request("wombat-1", "look", timeout=DEADLINE).value in ("left", "right")
+        reply = other.request("wombat-1", "look", timeout=DEADLINE)
+        assert reply.value in ("left", "right")
+        assert reply.is_shared
         until(lambda: sorted(received) == ["left", "right"], lambda: received)
 
 

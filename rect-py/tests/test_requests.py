@@ -31,7 +31,7 @@ def test_request_returns_reply(pair: Pair) -> None:
 
     until_served(two, "wombat-1", "double")
     reply = two.request("wombat-1", "double", 21, timeout=DEADLINE)
-    assert (reply.sender, reply.value) == ("wombat-1", 42)
+    assert (reply.sender, reply.value, reply.is_shared) == ("wombat-1", 42, False)
 
 
 def test_exception_of_handler_arrives_as_service_error(pair: Pair, caplog: pytest.LogCaptureFixture) -> None:

@@ -22,7 +22,8 @@ inline namespace RECT_ABI {
 class Reply {
 public:
     /// Takes ownership of a reply of rect.h.
-    explicit Reply(const rect_reply& raw) noexcept : payload(raw.payload), handle_(raw.id), sender_(raw.sender) {}
+    explicit Reply(const rect_reply& raw) noexcept
+        : payload(raw.payload), handle_(raw.id), sender_(raw.sender), is_shared_(raw.is_shared) {}
 
     /// The payload.
     PayloadView payload;
@@ -30,9 +31,14 @@ public:
     /// Returns the robot that replied.
     [[nodiscard]] std::string_view sender() const noexcept { return detail::view(sender_); }
 
+    /// Returns whether the service shares its topic with other programs of the robot (ServiceOptions::allow_several). They have
+    /// received the request, too, and carry it out. Robot::request discards their replies; Robot::request_all returns them.
+    [[nodiscard]] bool is_shared() const noexcept { return is_shared_; }
+
 private:
     Handle handle_;
     rect_text sender_;
+    bool is_shared_;
 };
 
 /// The replies to one request of Robot::request_all or Robot::request_stream, in the order of arrival. Destroying it cancels the

@@ -29,6 +29,7 @@ REMOVE: str
 ROBOT_TIMEOUT_S: float
 ROUTER_VARIABLE: str
 SERVICE_CAPACITY: int
+SHARED_REPLY: bytes
 STOP_AGAIN_AFTER_S: float
 STOP_MARKED_WITHIN_S: float
 STOP_TOPIC: str
@@ -398,7 +399,7 @@ class Inquiry:
     @property
     def is_complete(self) -> bool: ...
     def get(self, bytes: bytes, encoding: str, urgency: str) -> tuple[Any, ...]: ...
-    def on_reply(self, reply: object) -> tuple[str, str | None, tuple[bytes, str]] | None: ...
+    def on_reply(self, reply: object) -> tuple[str, str | None, tuple[bytes, str], bool] | None: ...
     @property
     def expected(self) -> str: ...
 

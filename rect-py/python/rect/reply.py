@@ -18,6 +18,9 @@ class Reply(Generic[T]):
     sender: str
     #: The payload: bytes with an encoding.
     payload: Payload
+    #: Whether the service shares its topic with other programs of the robot (`allow_several`). They have received the
+    #: request, too, and carry it out. `Robot.request` discards their replies; `Robot.request_all` returns them.
+    is_shared: bool
     _converter: Converter[T] | None = field(default=None, repr=False, compare=False)
 
     @property

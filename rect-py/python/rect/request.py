@@ -241,10 +241,10 @@ class Replies(Generic[T]):
         meaning = self._inquiry.on_reply(reply)
         if meaning is None:
             return None
-        kind, robot, payload = meaning
+        kind, robot, payload, is_shared = meaning
         if kind == "timed_out":
             raise self.timed_out()
-        return received_of(self._session, self._converter, kind, robot, Payload(*payload))
+        return received_of(self._session, self._converter, kind, robot, Payload(*payload), is_shared)
 
 
 class RetriedRequest(Generic[T]):
@@ -281,7 +281,7 @@ class RetriedRequest(Generic[T]):
 
         Raises the errors of `Robot.request`.
         """
-        kind, robot, payload = self._executor.run()
+        kind, robot, payload, is_shared = self._executor.run()
         if kind == "plain":
             return None
         if kind == "interrupted":
@@ -291,7 +291,7 @@ class RetriedRequest(Generic[T]):
             raise Closed
         if kind == "timed_out":
             raise TimedOut(self._inquiry.expected, self._timeout)
-        _, reply = received_of(self._session, self._converter, kind, robot, Payload(*payload))
+        _, reply = received_of(self._session, self._converter, kind, robot, Payload(*payload), is_shared)
         if isinstance(reply, RectError):
             raise reply
         return reply
@@ -315,7 +315,12 @@ def announce_close(session: Session, inquiry: _rect.Inquiry) -> bool:
 
 
 def received_of(
-    session: Session, converter: Converter[T] | None, kind: str, robot: str | None, payload: Payload
+    session: Session,
+    converter: Converter[T] | None,
+    kind: str,
+    robot: str | None,
+    payload: Payload,
+    is_shared: bool,
 ) -> Received[T]:
     """Returns the reply or error of a service."""
     if kind == "answer" and robot is not None:
@@ -323,7 +328,7 @@ def received_of(
             decoded = session.decoder.payload(robot, payload)
         except RectError as error:
             return robot, error
-        return robot, Reply(robot, decoded, converter)
+        return robot, Reply(robot, decoded, is_shared, converter)
     if kind == "error":
         return robot, service_error(robot, payload)
     return None, ZenohError("the reply has no valid key of a robot", f"its key is {robot!r}")

@@ -57,6 +57,7 @@ class Request(Generic[T]):
     __slots__ = (
         "_execution",
         "_key",
+        "_mark",
         "_observer",
         "_query",
         "_replies",
@@ -77,6 +78,7 @@ class Request(Generic[T]):
         session: Session,
         key: str,
         execution: _rect.Execution | None,
+        is_shared: bool,
     ) -> None:
         self._query = query
         self._session = session
@@ -88,6 +90,8 @@ class Request(Generic[T]):
         self._replies = 0 if requester.is_stream else None
         #: Takes the result, if the request is carried out at most once.
         self._execution = execution
+        #: The attachment of replies. Only one program carries out a request that is carried out at most once.
+        self._mark = _rect.SHARED_REPLY if is_shared and execution is None else None
         #: Name of the robot that sent the request, as stated by its program. `None` if that program does not use RECT.
         #: The name is not verified: do not base permissions on it.
         self.sender = requester.robot
@@ -212,7 +216,7 @@ class Request(Generic[T]):
                     if key is None:
                         query.reply_err(payload, encoding=encoding)
                     else:
-                        query.reply(key, payload, encoding=encoding)
+                        query.reply(key, payload, encoding=encoding, attachment=self._mark)
                 if repeated is not None:
                     repeated.drop()
         except zenoh.ZError as error:
@@ -253,6 +257,7 @@ class Requests:
         self._session = session
         self._topic = topic
         self._converter = converter
+        self._is_shared = allow_several
         #: Held while the router is asked whether another program serves the topic.
         self._checking = threading.Lock()
         self._queue: ReceiveQueue[Admitted] = ReceiveQueue(_rect.SERVICE_CAPACITY, "drop_newest")
@@ -294,7 +299,9 @@ class Requests:
         if remaining == 0:
             query.drop()
             return None
-        return Request(query, requester, Payload(bytes, encoding), remaining, self._session, self._key, execution)
+        payload = Payload(bytes, encoding)
+        session, key, is_shared = self._session, self._key, self._is_shared
+        return Request(query, requester, payload, remaining, session, key, execution, is_shared)
 
     def _decode(self, request: Request[Any]) -> bool:
         """Decodes the request, and returns whether to handle it.

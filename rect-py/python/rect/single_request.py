@@ -58,10 +58,10 @@ class SingleRequest:
             session.receive_queues.discard(self)
         # Only a stream has replies without a meaning.
         assert received is not None
-        kind, robot, payload = received
+        kind, robot, payload, is_shared = received
         if kind == "timed_out":
             raise self._timed_out()
-        _, reply = received_of(session, converter, kind, robot, Payload(*payload))
+        _, reply = received_of(session, converter, kind, robot, Payload(*payload), is_shared)
         if isinstance(reply, RectError):
             raise reply
         return reply

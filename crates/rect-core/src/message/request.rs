@@ -1,5 +1,5 @@
-//! Encodes the metadata of requests and error replies: the header of a request (its sender, id and timeout), and the robot in an error
-//! reply, because Zenoh's error replies have no key.
+//! Encodes the metadata of requests and replies: the header of a request (its sender, id and timeout), the marks of replies, and the robot
+//! in an error reply, because Zenoh's error replies have no key.
 use std::{fmt, time::Duration};
 
 use super::{encoding::Encoding, payload::Payload};
@@ -130,6 +130,10 @@ pub fn count_of_replies(attachment: &[u8]) -> Option<u32> {
     Some(u32::from_le_bytes(count.try_into().ok()?))
 }
 
+/// The attachment of a reply of a service that allows other programs of its robot to serve the topic: they may have received the request,
+/// too.
+pub const SHARED_REPLY: [u8; 2] = [MARK, 1];
+
 /// Returns a timeout as headers state it. A longer one counts as the longest.
 pub fn timeout_ms(timeout: Duration) -> u32 {
     u32::try_from(timeout.as_millis()).unwrap_or(u32::MAX)
@@ -197,6 +201,16 @@ mod tests {
         }
         for wrong in [&b"text"[..], &[MARK, 0, 0, 0, 0, b'/']] {
             assert_eq!(RequestHeader::decode(wrong), None, "{wrong:?}");
+        }
+    }
+
+    #[test]
+    fn marks_of_replies_differ() {
+        assert_eq!(count_of_replies(&SHARED_REPLY), None);
+        for count in [0, 1, u32::MAX] {
+            let end = end_of_replies(count);
+            assert_eq!(count_of_replies(&end), Some(count));
+            assert_ne!(end, SHARED_REPLY);
         }
     }
 

@@ -6,7 +6,10 @@ use crate::{
     driver::{Get, Sample, Target},
     message::{
         payload::Payload,
-        request::{count_of_replies, error_from_payload, is_timeout, timeout_ms, RequestHeader},
+        request::{
+            count_of_replies, error_from_payload, is_timeout, timeout_ms, RequestHeader,
+            SHARED_REPLY,
+        },
         urgency::Urgency,
     },
     name::{key::KeySpace, topic::Topic, Name},
@@ -40,6 +43,8 @@ pub enum ReplyKind {
         sender: Name,
         /// Its reply.
         payload: Payload,
+        /// Whether other programs of that robot may have received the request, too, because they are allowed to serve the topic.
+        is_shared: bool,
     },
     /// A service replied with an error.
     Error {
@@ -149,10 +154,19 @@ impl Inquiry {
                 self.stated = count_of_replies(&attachment);
                 return None;
             }
-            Ok(Sample { key, payload, .. }) => match self.place.robot_of(&key) {
+            Ok(Sample {
+                key,
+                payload,
+                attachment,
+                ..
+            }) => match self.place.robot_of(&key) {
                 Some(sender) => {
                     self.replies += 1;
-                    ReplyKind::Answer { sender, payload }
+                    ReplyKind::Answer {
+                        sender,
+                        payload,
+                        is_shared: attachment.is_some_and(|mark| mark[..] == SHARED_REPLY),
+                    }
                 }
                 None => ReplyKind::NotOfARobot { key },
             },

@@ -151,7 +151,7 @@ pub(super) fn builder<'a>(
 
 /// Answers a query. An answer that cannot be sent is repeated by the protocols that need it.
 pub(super) fn answer(query: &Query, answer: Answer) {
-    if let Err(error) = try_answer(query, answer) {
+    if let Err(error) = try_answer(query, answer, None) {
         tracing::debug!("cannot reply on {}: {error}", query.key_expr());
     }
 }
@@ -170,11 +170,11 @@ pub(super) fn answer_retained(session: &Session, query: &Query, replies: Vec<Ret
     }
 }
 
-/// Answers a query.
-pub(super) fn try_answer(query: &Query, answer: Answer) -> zenoh::Result<()> {
+/// Answers a query. `mark` is the attachment of a reply.
+pub(super) fn try_answer(query: &Query, answer: Answer, mark: Option<&[u8]>) -> zenoh::Result<()> {
     match answer {
         Answer::Reply { key, payload } => {
-            let reply = query.reply(key, payload.bytes);
+            let reply = query.reply(key, payload.bytes).attachment(mark);
             reply.encoding(payload.encoding.as_str()).wait()
         }
         Answer::Error(payload) => {

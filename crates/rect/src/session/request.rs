@@ -42,6 +42,10 @@ pub struct Reply<T = ()> {
     pub payload: Payload,
     /// The value as the type that the program has stated.
     pub value: T,
+    /// Whether the service shares its topic with other programs of the robot
+    /// ([`allow_several`](crate::ServiceOptions::allow_several)). They have received the request, too, and carry it out.
+    /// [`Robot::request`] discards their replies; [`Robot::request_all`] returns them.
+    pub is_shared: bool,
 }
 
 /// Receives the replies to one request; created by [`Robot::request_all`] and [`Robot::request_stream`]. `T` is the type of their
@@ -268,10 +272,15 @@ impl Reply {
     /// Returns the reply that Zenoh has delivered, before it is decoded.
     fn of(kind: ReplyKind, inquiry: &Inquiry) -> Result<Self, Error> {
         match kind {
-            ReplyKind::Answer { sender, payload } => Ok(Self {
+            ReplyKind::Answer {
+                sender,
+                payload,
+                is_shared,
+            } => Ok(Self {
                 sender,
                 payload,
                 value: (),
+                is_shared,
             }),
             ReplyKind::Error { robot, payload } => Err(Error::Service { robot, payload }),
             ReplyKind::TimedOut => Err(Error::TimedOut {
@@ -290,6 +299,7 @@ impl Reply {
             value: T::from_payload(&self.payload)?,
             sender: self.sender,
             payload: self.payload,
+            is_shared: self.is_shared,
         })
     }
 }

@@ -22,7 +22,7 @@ use rect_core::{
         encoding::Encoding,
         payload::{Payload, ToPayload},
         queue::{Queue, WhenFull},
-        request::{end_of_replies, error_to_payload},
+        request::{end_of_replies, error_to_payload, SHARED_REPLY},
     },
     name::{topic::Topic, Name},
     retry::once::{Admission, Execution},
@@ -68,7 +68,7 @@ pub struct ServiceOptions {
     /// The purpose of the service, for `rect service list` and the dashboard: at most 200 characters. Default: empty.
     pub about: String,
     /// Whether other programs of the robot may serve the same topic, which then have to allow it, too. Each of them answers every
-    /// request. Default: no.
+    /// request, and the replies state that ([`Reply::is_shared`](crate::Reply::is_shared)). Default: no.
     pub allow_several: bool,
 }
 
@@ -114,6 +114,8 @@ pub struct Request {
     pub deadline: Instant,
     /// Takes the result, if the request is carried out at most once.
     execution: Option<Execution<Query>>,
+    /// Whether other programs of the robot may serve the topic.
+    is_shared: bool,
 }
 
 impl Robot {
@@ -161,7 +163,7 @@ impl Robot {
 
     /// Declares a service of the catalogue, and returns its requests.
     pub(super) async fn requests_of(&self, entry: ServiceEntry) -> Result<Requests, Error> {
-        let topic = entry.topic.clone();
+        let (topic, is_shared) = (entry.topic.clone(), entry.several);
         let serving = self.announce(entry).await?;
         let place = self.inner.place.clone();
         let key = place.publication(&topic);
@@ -209,7 +211,7 @@ impl Robot {
             let (me, key) = (place.robot.clone(), key_of_answers.clone());
             let deadline = Instant::now() + requester.timeout();
             let waiting = open.add(requester, deadline, &inner);
-            let request = Request::new(query, waiting, me, key, execution);
+            let request = Request::new(query, waiting, me, key, execution, is_shared);
             let query = request.query.clone();
             if !writer.push(request) {
                 queries::answer(&query, Answer::Error(busy(&place.robot)));
@@ -439,6 +441,7 @@ impl Request {
         me: Name,
         key: String,
         execution: Option<Execution<Query>>,
+        is_shared: bool,
     ) -> Self {
         let header = waiting.requester().header.as_ref();
         Self {
@@ -450,6 +453,8 @@ impl Request {
             deadline: waiting.deadline(),
             query,
             waiting,
+            // Only one program carries out a request that is carried out at most once.
+            is_shared: is_shared && execution.is_none(),
             execution,
         }
     }
@@ -528,7 +533,9 @@ impl Request {
         if let Some(repeated) = execution.and_then(|execution| execution.on_result(&answer)) {
             queries::answer(&repeated, answer.clone());
         }
-        queries::try_answer(&self.query, answer).map_err(Error::zenoh("cannot send the reply"))
+        let mark = self.is_shared.then_some(SHARED_REPLY);
+        queries::try_answer(&self.query, answer, mark.as_ref().map(|mark| &mark[..]))
+            .map_err(Error::zenoh("cannot send the reply"))
     }
 }
 

@@ -127,10 +127,19 @@ async fn several_services_of_one_topic_need_the_consent_of_each() {
     let _second = serve(true).await.expect("served");
     let replies = a.request_all::<Payload>("look", "").await.expect("asked");
     let mut count = 0;
-    while in_time(replies.next()).await.is_some() {
+    while let Some(reply) = in_time(replies.next()).await {
+        assert!(reply.expect("a reply").is_shared);
         count += 1;
     }
     assert_eq!(count, 2, "each of them answers");
+    let reply = in_time(a.request::<Payload>("a", "look", "")).await;
+    assert!(
+        reply.expect("a reply").is_shared,
+        "a request says that several may carry it out"
+    );
+    let _alone = self::serve(&a, "grab", "").await.expect("served");
+    let reply = in_time(a.request::<Payload>("a", "grab", "")).await;
+    assert!(!reply.expect("a reply").is_shared);
 }
 
 /// Declares a catalogue that accepts or refuses registrations, and passes them on.
