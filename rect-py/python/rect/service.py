@@ -29,7 +29,7 @@ from rect.values import Payload, payload_of
 if TYPE_CHECKING:
     from rect.session import Session
 
-#: What arrives at a service: the query, its requester, the payload, and the permission to carry it out, if needed.
+#: An item of the queue: the query, its requester, the payload, and the permission to carry it out, if needed.
 Admitted = tuple[zenoh.Query, _rect.Requester, bytes, str, Optional[_rect.Execution]]
 
 _LOG = logging.getLogger("rect")
