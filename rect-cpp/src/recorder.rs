@@ -166,6 +166,7 @@ unsafe fn read(given: Option<&RecordOptions>) -> Result<LibraryOptions, Failure>
             after: some_ms(given.split_ms),
             bytes: (given.split_bytes > 0).then_some(given.split_bytes),
         },
+        without_logs: false,
     })
 }
 

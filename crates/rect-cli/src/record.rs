@@ -44,6 +44,9 @@ pub struct RecordArguments {
     /// Continue in another file after this time or size, such as 10m or 500MB; may be given twice
     #[arg(long, value_name = "DURATION|SIZE")]
     split: Vec<SplitArgument>,
+    /// Leave out the lines that the programs of the recorded robots log
+    #[arg(long)]
+    without_logs: bool,
     #[command(flatten)]
     join: JoinArguments,
 }
@@ -84,6 +87,7 @@ async fn record(arguments: RecordArguments) -> Done {
         patterns: arguments.patterns,
         keep: arguments.keep.map(|keep| keep.0),
         split: split(&arguments.split),
+        without_logs: arguments.without_logs,
     };
     let mut recording = robot.record(&path, options).await?;
     rect_terminal::errln!(
@@ -116,7 +120,7 @@ async fn record(arguments: RecordArguments) -> Done {
 fn warn_of_others(own: &Name, patterns: &[Pattern]) {
     if patterns.iter().any(|pattern| pattern.robot() != Some(own)) {
         rect_terminal::errln!(
-            "rect: messages of other robots travel over their links to this robot only because they are recorded here. \
+            "rect: messages and log lines of other robots travel over their links to this robot only because they are recorded here. \
              Record on each robot if the links are slow"
         );
     }

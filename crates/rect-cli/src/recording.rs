@@ -218,8 +218,13 @@ fn print(summary: &Summary) {
         0 => String::new(),
         reports => format!(", and {reports} reports of events, links and requests"),
     };
+    let lines = match summary.log_lines {
+        0 => String::new(),
+        1 => ", and 1 log line".to_owned(),
+        lines => format!(", and {lines} log lines"),
+    };
     rect_terminal::outln!(
-        "{} messages in {duration}, {size}{reports}",
+        "{} messages in {duration}, {size}{reports}{lines}",
         summary.messages
     );
     let mut table = Table::new(&["TOPIC", "ENCODING", "MESSAGES", "BYTES", "RATE", "MISSED"]);

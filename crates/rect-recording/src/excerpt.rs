@@ -11,6 +11,7 @@ use crate::{
     entry::Entry,
     entry::RetainedKind,
     file::{About, Encoder},
+    log,
     reader::{end_of, files_of, ReadError, Reader},
     retained::LastValues,
 };
@@ -47,8 +48,11 @@ pub struct Excerpt {
 }
 
 impl Question {
-    /// Returns whether a message is selected.
+    /// Returns whether a message is selected. The lines that programs log never are: access to them has a rule of its own.
     fn selects(&self, entry: &Entry) -> bool {
+        if log::is_log(&entry.topic) {
+            return false;
+        }
         let is_in_time = self.begin <= entry.logged && entry.logged <= self.until;
         is_in_time && (self.matches(&entry.topic) || (self.reports && entry.is_report()))
     }

@@ -18,6 +18,7 @@ use crate::{
     channel::{Channel, Form},
     entry::Entry,
     inferred::Inferred,
+    log,
     schema::{Foreign, Schema},
     view::{Origin, View},
 };
@@ -153,6 +154,7 @@ impl<W: Write + Seek> Encoder<W> {
         };
         let version = match form {
             Form::Picture(_) | Form::Payload => 0,
+            _ if log::is_log(&entry.topic) => 0,
             Form::Object | Form::View => match self.inferred.get_mut(&entry.topic) {
                 Some(inferred) => inferred.add(message),
                 None => {
@@ -190,6 +192,7 @@ impl<W: Write + Seek> Encoder<W> {
         let schema = match channel.form {
             Form::Payload => None,
             Form::Picture(kind) => Some(kind.schema()),
+            _ if log::is_log(&channel.topic) => Some(log::schema()),
             Form::Object | Form::View => {
                 let inferred = self.inferred.get(&channel.topic);
                 inferred.map(|inferred| inferred.schema(&channel.topic))

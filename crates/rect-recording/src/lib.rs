@@ -13,6 +13,7 @@ pub mod export;
 pub mod file;
 pub mod inferred;
 pub mod key_frames;
+pub mod log;
 pub mod merge;
 pub mod pace;
 pub mod parts;

@@ -203,7 +203,8 @@ impl Recorder {
         self.add(Entry::of_report(robot, subject, json, self.clock.now()));
     }
 
-    fn add(&self, entry: Entry) {
+    /// Records an entry.
+    pub(crate) fn add(&self, entry: Entry) {
         self.shared.state().backlog.push(entry);
         self.shared.changed.notify_one();
     }

@@ -6,6 +6,7 @@ use serde::Serialize;
 use crate::{
     entry::Entry,
     file::About,
+    log,
     reader::{ReadError, Reader},
 };
 
@@ -26,6 +27,8 @@ pub struct Summary {
     pub bytes: u64,
     /// The number of reports of robots about events and links, which are not among the messages and topics.
     pub reports: u64,
+    /// The number of lines that programs have logged, which are not among them either.
+    pub log_lines: u64,
     /// The topics, as `<robot>/<topic>`.
     pub topics: BTreeMap<String, TopicSummary>,
 }
@@ -78,6 +81,10 @@ impl Summary {
     }
 
     fn on_entry(&mut self, entry: &Entry) {
+        if log::is_log(&entry.topic) {
+            self.log_lines += 1;
+            return;
+        }
         if entry.is_report() {
             self.reports += 1;
             return;

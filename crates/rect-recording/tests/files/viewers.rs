@@ -5,6 +5,7 @@ use std::{fs, io::Cursor, path::Path, time::Duration};
 use bytes::Bytes;
 use rect_core::{
     codec::array::Array,
+    log::{level::Level, line::Line, page::Kept},
     message::{
         encoding::Encoding,
         payload::{typed, Payload, ToPayload},
@@ -14,8 +15,9 @@ use rect_core::{
 };
 use rect_recording::{
     file::{About, Encoder},
+    log,
     report::EventReport,
-    Entry, Reader,
+    Entry, Reader, Recorder, Selection, Settings, Split, Summary,
 };
 use serde_json::{json, Value};
 
@@ -52,7 +54,7 @@ fn refused(schema: &Value, name: &str) -> Option<String> {
             false => schema,
         };
         match schema["type"].as_str() {
-            Some("boolean" | "number" | "string") => None,
+            Some("boolean" | "integer" | "number" | "string") => None,
             Some("object") => refused(schema, &name),
             other => Some(format!("{name} has the type {other:?}")),
         }
@@ -249,6 +251,69 @@ fn reports_of_robots_are_shown() {
         link["properties"]["sent"]["properties"],
         json!({"bytes": {"type": "number"}})
     );
+}
+
+#[test]
+fn lines_of_logs_are_shown_in_log_panels() {
+    let folder = tempfile::tempdir().expect("folder");
+    let robot = Name::new("wombat-1").expect("a name");
+    let recorder = Recorder::start(Settings {
+        path: folder.path().join("match.mcap"),
+        about: About::new(),
+        keep: None,
+        split: Split::default(),
+    });
+    let recorder = recorder.expect("started");
+    for level in Level::ALL {
+        let line = Line {
+            fields: [("angle".to_owned(), json!(12.5))].into(),
+            source: "arm.py:7".to_owned(),
+            ..Line::new(1_795_000_000_123, level, "one\n  two")
+        };
+        recorder.on_line(
+            &robot,
+            &Kept {
+                number: 1,
+                program: "arm".to_owned(),
+                line,
+            },
+        );
+    }
+    recorder.on_missed_lines(&robot);
+    let (files, progress) = recorder.finish().expect("finished");
+    assert_eq!(progress.written, 0, "lines do not count as messages");
+    let reader = Reader::open(&files[0]).expect("opened");
+    let (summary, error) = Summary::read(reader);
+    assert!(error.is_none(), "{error:?}");
+    assert_eq!((summary.log_lines, summary.reports), (5, 0));
+    assert!(summary.topics.is_empty(), "{summary:?}");
+
+    let file = fs::read(&files[0]).expect("read");
+    let messages = mcap::MessageStream::new(&file).expect("a file");
+    let shown = messages.map(|message| {
+        let message = message.expect("whole");
+        let schema = message.channel.schema.clone().expect("a schema");
+        assert_eq!(message.channel.topic, "wombat-1/@rect/log");
+        assert_eq!(schema.name, "foxglove.Log");
+        serde_json::from_slice::<Value>(&message.data).expect("JSON")
+    });
+    let shown: Vec<_> = shown.collect();
+    let levels: Vec<_> = shown.iter().map(|line| &line["level"]).collect();
+    assert_eq!(levels, [1, 2, 3, 4, 3]);
+    assert_eq!(shown[0]["message"], "one\n  two");
+    // Viewers accept the schema, and it stays in a file that is cut or merged.
+    let reader = Reader::open(&files[0]).expect("opened");
+    let entries: Vec<_> = reader.map(|entry| entry.expect("whole")).collect();
+    let definition = serde_json::from_slice::<Value>(&log::schema().text).expect("JSON");
+    assert!(recorded(&entries).iter().all(|(_, of)| *of == definition));
+    assert!(rect_recording::Replay::new(
+        entries.into_iter().map(Ok::<_, ()>),
+        Selection::default(),
+        Vec::new(),
+        None
+    )
+    .next()
+    .is_none());
 }
 
 #[test]

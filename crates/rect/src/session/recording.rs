@@ -1,13 +1,16 @@
-//! Records the messages that a program receives, with its events, the state of its router's links, and the requests to its robot.
+//! Records the messages that a program receives, with its events, the state of its router's links, the requests to its robot, and the
+//! lines that programs log.
 use std::{
+    collections::BTreeSet,
     path::PathBuf,
     sync::Arc,
     time::{Duration, Instant},
 };
 
 use rect_core::{
+    log::reader::Item,
     message::{encoding::Encoding, payload::Payload, urgency::Urgency},
-    name::topic::Pattern,
+    name::{topic::Pattern, Name},
 };
 use rect_recording::{
     file, key_frames::KeyFrames, recorder::CAPACITY, report::LINKS_EVERY, Progress, Recorder,
@@ -23,7 +26,13 @@ use zenoh::{
     Wait,
 };
 
-use super::{queries, recorded::RecordingQueries, robot::Robot, Events, QueueOptions, Subscriber};
+use super::{
+    log::{LogOptions, Logs},
+    queries,
+    recorded::RecordingQueries,
+    robot::Robot,
+    Events, QueueOptions, Subscriber,
+};
 use crate::error::Error;
 
 /// The settings of [`Robot::record`].
@@ -37,6 +46,9 @@ pub struct RecordOptions {
     pub keep: Option<Duration>,
     /// When the recording continues in another file; default: never.
     pub split: Split,
+    /// Whether to leave out the lines that the programs of the recorded robots log. Default: they are recorded. Those of other
+    /// robots travel over the links, in the background, only because they are recorded; private ones never are.
+    pub without_logs: bool,
 }
 
 /// A recording that runs; created by [`Robot::record`]. Dropping it leaves a folder, which `rect recording merge` makes a file of.
@@ -51,7 +63,7 @@ pub struct RobotRecorder {
 
 impl Robot {
     /// Records messages to an MCAP file until [`finish`](RobotRecorder::finish) is called, with the events of this robot, the
-    /// requests to its services and, once a second, the state of its router's links. Of a stream, the frames of the
+    /// requests to its services, the lines that programs log and, once a second, the state of its router's links. Of a stream, the frames of the
     /// faster group of receivers are, and the sender of a video is asked for a key frame at the beginning and every 5 s.
     ///
     /// Recording never delays the program: what a slow or full disk does not take waits in 8 MB of memory, and is then dropped and
@@ -93,6 +105,13 @@ impl Robot {
         };
         let subscriber = Arc::new(self.select(place.recorded(&options.patterns), queue)?);
         let (mut messages, mut reports) = (JoinSet::new(), JoinSet::new());
+        if !options.without_logs {
+            for robot in robots_of(place.robot.as_str(), &options.patterns) {
+                let new = LogOptions::new().last(0).follow().without_private();
+                let logs = self.logs(&robot, new).await?;
+                reports.spawn(forward_lines(logs, recorder.clone()));
+            }
+        }
         messages.spawn(forward(subscriber.clone(), self.clone(), recorder.clone()));
         let events = self.events().await?;
         let events = forward_events(events, self.clone(), recorder.clone());
@@ -171,6 +190,33 @@ async fn forward(subscriber: Arc<Subscriber>, robot: Robot, recorder: Arc<Record
             }
         }
         recorder.on_message(message);
+    }
+}
+
+/// Returns the robots whose messages are recorded, or `*`.
+fn robots_of(own: &str, patterns: &[Pattern]) -> BTreeSet<String> {
+    let named = |pattern: &Pattern| pattern.robot().map_or("*", Name::as_str).to_owned();
+    let robots: BTreeSet<_> = patterns.iter().map(named).collect();
+    if robots.is_empty() {
+        return BTreeSet::from([own.to_owned()]);
+    }
+    match robots.contains("*") {
+        true => BTreeSet::from(["*".to_owned()]),
+        false => robots,
+    }
+}
+
+async fn forward_lines(logs: Logs, recorder: Arc<Recorder>) {
+    while let Some(item) = logs.next().await {
+        match item {
+            Item::Lines { robot, lines, .. } => {
+                for kept in &lines {
+                    recorder.on_line(&robot, kept);
+                }
+            }
+            Item::Missed(robot) => recorder.on_missed_lines(&robot),
+            Item::Complete => {}
+        }
     }
 }
 
