@@ -47,9 +47,12 @@ class Viewer:
 
     def show(self, topic: str) -> None:
         """Shows a topic, as soon as it is offered."""
+        self.until_offered(topic)
+        self._subscribe(topic)
+
+    def until_offered(self, topic: str) -> None:
         while topic not in self.channels:
             self._receive()
-        self._subscribe(topic)
 
     def hide(self, topic: str) -> None:
         self._send(op="unsubscribe", subscriptionIds=[self._shown.pop(topic)])
@@ -231,6 +234,45 @@ def test_topic_is_transmitted_only_while_it_is_shown(routers: Routers) -> None:
             shown.message("/wombat-1/camera")
         # A viewer that leaves shows nothing any more.
         until(lambda: sent() < pictures / 2)
+
+
+def test_log_is_read_only_while_it_is_shown(routers: Routers) -> None:
+    topic = "/wombat-1/@rect/log"
+    logged = 0
+
+    def log(*texts: str, **fields: Any) -> None:
+        """Gives lines to the router of wombat-1, as a program does."""
+        nonlocal logged
+        lines = [{"at": 1_795_000_000_123, "level": "warn", "text": text, **fields} for text in texts]
+        batch = json.dumps({"run": 7, "first": logged, "lines": lines})
+        logged += len(texts)
+        robot.zenoh.put("rect/wombat-1/@rect/@set/log/arm", batch)
+
+    with routers.connect("wombat-1") as robot, serving(routers) as address:
+        follower = robot.zenoh.declare_publisher("rect/wombat-1/@rect/@log/debug/arm")
+        log("one", "two")
+        with viewer(address) as shown:
+            shown.until_offered(topic)
+            assert not follower.matching_status.matching
+            shown.show(topic)
+            assert shown.channels[topic]["schemaName"] == "foxglove.Log"
+            assert [shown.value(topic)["message"] for _ in range(2)] == ["one", "two"]
+            log("File\n  arm.py", logger="driver", source="arm.py:7", fields={"angle": 1.5})
+            assert shown.value(topic) == {
+                "timestamp": {"sec": 1_795_000_000, "nsec": 123_000_000},
+                "level": 3,
+                "message": "File\n  arm.py",
+                "name": "arm/driver",
+                "file": "arm.py",
+                "line": 7,
+                "fields": {"angle": 1.5},
+            }
+            with viewer(address) as second:
+                second.show(topic)
+                assert [second.value(topic)["line"] for _ in range(3)] == [0, 0, 7]
+            assert follower.matching_status.matching
+            shown.hide(topic)
+            until(lambda: not follower.matching_status.matching)
 
 
 def test_viewer_publishes_and_sends_requests_only_if_permitted(routers: Routers) -> None:

@@ -4,6 +4,7 @@ mod gate;
 mod input;
 mod listener;
 mod live;
+mod logs;
 mod parameters;
 mod services;
 
@@ -36,6 +37,7 @@ use self::{
     input::Input,
     listener::Listener,
     live::Live,
+    logs::Logs,
     parameters::{Parameters, Shown},
     services::{Found, Services},
 };
@@ -115,14 +117,19 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
             "rect: every computer that reaches {at} sees the messages: there is no login"
         );
     }
-    let mut live = Live::new(robot.clone(), viewers.context.clone(), arguments.patterns);
+    let (context, patterns) = (viewers.context.clone(), arguments.patterns);
+    let mut logs = Logs::new(robot.clone(), context.clone(), patterns.clone());
+    let mut live = Live::new(robot.clone(), context, patterns);
     let mut asking = JoinSet::<Result<Answers, Failure>>::new();
     let mut values = None;
     let mut tick = interval(UPDATED_EVERY);
     let mut ask_at = Instant::now();
     while !robot.is_closed() {
         tokio::select! {
-            Some(event) = events.recv() => live.on_event(event),
+            Some(event) = events.recv() => {
+                logs.on_event(&event);
+                live.on_event(event);
+            }
             Some(message) = next(values.as_ref()) => {
                 server.publish_parameter_values(viewers.shown.on_message(message));
             }
@@ -142,6 +149,7 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
                     let counts = found.iter().all(|(_, topics)| topics.window_s > 0.0);
                     ask_at = Instant::now() + if counts { ASKED_EVERY } else { COUNTED };
                     live.on_topics(&found);
+                    logs.on_topics(&found);
                     services.on_found(served, &server)?;
                     let mut graph = live.graph();
                     services.add_to(&mut graph);
@@ -175,6 +183,7 @@ pub async fn run(arguments: FoxgloveArguments) -> Done {
             });
         }
         live.update().await?;
+        logs.update().await?;
     }
     rect_terminal::errln!("rect: the router has ended the connection");
     Ok(ExitCode::FAILURE)

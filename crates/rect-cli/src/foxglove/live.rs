@@ -20,7 +20,7 @@ use tokio::task::JoinSet;
 use super::listener::Event;
 
 /// How long a topic is received that no viewer shows any more: a viewer that changes its layout shows it again at once.
-const KEPT: Duration = Duration::from_secs(2);
+pub(super) const KEPT: Duration = Duration::from_secs(2);
 /// The shortest time between two forms of a topic, because each one is a new channel for all viewers.
 const CHANGED_AT_MOST_EVERY: Duration = Duration::from_secs(5);
 /// The largest number of topics that are offered.
@@ -222,7 +222,7 @@ impl Shown {
 }
 
 /// Creates the channel of a topic. Without a schema, the form of its messages is not known yet.
-fn channel(
+pub(super) fn channel(
     context: &Arc<Context>,
     topic: &str,
     encoding: &str,
