@@ -128,7 +128,7 @@ export function log(link, parent) {
   function setFollowing(follows) {
     isFollowing = follows;
     waiting = 0;
-    // What is drawn after a pause is no news.
+    // The lines of the pause are drawn together, and not read out one by one.
     consoleArea.setAttribute("aria-live", "off");
     draw();
     consoleArea.setAttribute("aria-live", follows ? "polite" : "off");
@@ -224,10 +224,10 @@ function choice(label, all, initial = "") {
   function show(found) {
     // A name that is chosen stays, although nothing has it at the moment.
     const value = input.value || initial;
-    const wanted = value === "" || found.includes(value) ? found : [...found, value].toSorted();
-    if (wanted.join("\n") !== known.join("\n")) {
-      known = wanted;
-      names.replaceChildren(...wanted.map((name) => h("option", { value: name }, visible(name, 60))));
+    const listed = value === "" || found.includes(value) ? found : [...found, value].toSorted();
+    if (listed.join("\n") !== known.join("\n")) {
+      known = listed;
+      names.replaceChildren(...listed.map((name) => h("option", { value: name }, visible(name, 60))));
       input.value = value;
     }
     initial = "";
@@ -238,8 +238,8 @@ function choice(label, all, initial = "") {
 
 /** Makes `parent` show these lines. The elements of those that it shows already stay where they are. */
 function drawLines(parent, shown) {
-  const wanted = new Set(shown);
-  const surplus = [...parent.children].filter((element) => !wanted.has(element.line));
+  const kept = new Set(shown);
+  const surplus = [...parent.children].filter((element) => !kept.has(element.line));
   for (const element of surplus) {
     element.remove();
   }
@@ -250,6 +250,11 @@ function drawLines(parent, shown) {
     } else {
       parent.insertBefore(entry(line), place);
     }
+  }
+  while (place) {
+    const next = place.nextElementSibling;
+    place.remove();
+    place = next;
   }
 }
 
@@ -263,7 +268,7 @@ function entry(line) {
     { class: "entry", "data-level": level },
     h("span", { class: "when", title: dateText(at) }, timeText(at, true)),
     h("span", { class: "level" }, level),
-    h("span", { class: "from", title: visible(from) }, visible(from)),
+    h("span", { class: "program", title: visible(from) }, visible(from)),
     h(
       "div",
       { class: "text" },

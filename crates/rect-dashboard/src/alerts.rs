@@ -132,7 +132,7 @@ impl Alerts {
 
 /// Takes over an alert that was raised, changed or cleared.
 fn on_message(alerts: &mut BTreeMap<Key, AlertState>, message: Message) {
-    // What a recording repeats is not wrong now.
+    // An alert that a recording repeats does not hold now.
     if message.replayed {
         return;
     }

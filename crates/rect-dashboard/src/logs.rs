@@ -126,7 +126,7 @@ impl Drop for ShowingLog {
 struct Worker {
     robot: Robot,
     browsers: BTreeMap<u64, Browser>,
-    /// What is read, and its least important level.
+    /// The reading, and its least important level.
     reading: Option<(Level, rect::Logs)>,
     /// `None` while no browser shows lines, because another program may write the files then.
     remembered: Option<Remembered>,

@@ -280,7 +280,7 @@ pub struct AlertState {
     pub robot: String,
     /// The topic, which identifies it.
     pub name: String,
-    /// What is wrong.
+    /// The text for people.
     pub text: String,
     /// How important it is.
     pub level: Level,
