@@ -8,6 +8,7 @@ mod blocked_link;
 mod blocking;
 mod codec;
 mod joining;
+mod log;
 mod parameters;
 mod program;
 mod replies;
