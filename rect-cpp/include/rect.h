@@ -143,6 +143,16 @@ typedef enum rect_event_kind {
     RECT_EVENT_KIND_PROGRAM_DOWN = 8,
 } rect_event_kind;
 
+// What a `rect_log_item` reports.
+typedef enum rect_log_item_kind {
+    // Lines of a robot, or the fact that it has answered and has none.
+    RECT_LOG_ITEM_KIND_LINES = 0,
+    // All routers have answered that can be reached: the lines that follow are new.
+    RECT_LOG_ITEM_KIND_COMPLETE = 1,
+    // New lines of a robot were missed, because its program logged faster than the link carries.
+    RECT_LOG_ITEM_KIND_MISSED = 2,
+} rect_log_item_kind;
+
 // The urgency of messages. In every queue and on a Bluetooth link, messages overtake less urgent ones.
 typedef enum rect_urgency {
     // For data that may wait, e.g. files.
@@ -234,6 +244,28 @@ typedef enum rect_confirmation {
     RECT_CONFIRMATION_ENDED = 3,
 } rect_confirmation;
 
+// How important a line of a log, or an alert, is.
+typedef enum rect_level {
+    // For whoever looks for a fault in the program.
+    RECT_LEVEL_DEBUG = 0,
+    // What happens.
+    RECT_LEVEL_INFO = 1,
+    // Something that somebody should look at.
+    RECT_LEVEL_WARN = 2,
+    // Something has failed.
+    RECT_LEVEL_ERROR = 3,
+} rect_level;
+
+// A handle of a program's session, through which it communicates as one robot of the fleet. Release it with
+// `rect_drop(&robot.id, ..)`.
+//
+// The session ends when the last handle of the robot and of everything that was created with it is dropped, or with
+// `rect_robot_close`. Every function that takes a robot may be called by several threads at a time.
+typedef struct rect_robot {
+    // The handle.
+    uint64_t id;
+} rect_robot;
+
 // The reason why a call failed.
 //
 // Almost every function that can fail takes a pointer to one, which may be NULL. The function writes to it if the call fails
@@ -293,16 +325,6 @@ typedef struct rect_array {
     // Size of `numbers` in bytes.
     size_t len;
 } rect_array;
-
-// A handle of a program's session, through which it communicates as one robot of the fleet. Release it with
-// `rect_drop(&robot.id, ..)`.
-//
-// The session ends when the last handle of the robot and of everything that was created with it is dropped, or with
-// `rect_robot_close`. Every function that takes a robot may be called by several threads at a time.
-typedef struct rect_robot {
-    // The handle.
-    uint64_t id;
-} rect_robot;
 
 // A service of a robot.
 typedef struct rect_service_entry {
@@ -553,6 +575,84 @@ typedef struct rect_gathered {
     // Number of outcomes.
     size_t len;
 } rect_gathered;
+
+// A line for the log, with everything that belongs to it. Members that are NULL or 0 are left out, except for the text.
+typedef struct rect_log_line {
+    // How important it is: a `rect_level`.
+    uint32_t level;
+    // The text, of 8 kB at most; a longer one is cut. It may have several lines, such as those of a stack trace.
+    const char *text;
+    // The part of the program that logs it, such as `arm`.
+    const char *logger;
+    // Values with names, as a JSON object such as `{"angle": 12.5}`. Any other text becomes a field named `fields`.
+    const char *fields;
+    // The file of the source code, such as `__FILE__`. Its folders are left out.
+    const char *file;
+    // The line in that file, such as `__LINE__`.
+    uint32_t line;
+    // Whether it stays on this robot: access control does not let other robots read it. For what may contain paths or passwords.
+    bool is_private;
+} rect_log_line;
+
+// Which lines `rect_robot_logs` reads. `rect_log_options options = {0};` are the defaults, and so is NULL: the last 100 lines of all
+// programs and levels.
+typedef struct rect_log_options {
+    // The program; NULL: all programs.
+    const char *program;
+    // The least important level: a `rect_level`.
+    uint32_t level;
+    // The maximum number of lines of each robot that were logged before, 10,000 at most. 0: 100.
+    size_t last;
+    // Whether lines that were logged before are left out, so that only new ones are read.
+    bool without_earlier;
+    // Whether new lines follow, until the handle is dropped. They cross the link, in the background, while somebody follows.
+    bool follow;
+    // How long the router of a robot may take to answer, in milliseconds. 0: 10 s.
+    uint32_t timeout_ms;
+} rect_log_options;
+
+// The logs that this program reads. `rect_drop(&logs.id, ..)` ends that.
+typedef struct rect_logs {
+    // The handle.
+    uint64_t id;
+} rect_logs;
+
+// A line that a router keeps. It is valid as long as its `rect_log_item`.
+typedef struct rect_kept_line {
+    // Its number at this run of the router, beginning with 1.
+    uint64_t number;
+    // The program; `unnamed` if it has no name.
+    struct rect_text program;
+    // When it was logged, in milliseconds since 1970 by the clock of its robot.
+    uint64_t at_ms;
+    // How important it is: a `rect_level`.
+    uint32_t level;
+    // The part of the program; `stdout` or `stderr` for its output, otherwise possibly empty.
+    struct rect_text logger;
+    // The text, which may have several lines.
+    struct rect_text text;
+    // Values with names, as a JSON object; empty if there are none.
+    struct rect_text fields;
+    // The place in the source code, such as `arm.c:12`; possibly empty.
+    struct rect_text source;
+} rect_kept_line;
+
+// What `rect_logs_next` returns. Release it with `rect_drop(&item.id, ..)`.
+typedef struct rect_log_item {
+    // The handle.
+    uint64_t id;
+    // What it reports.
+    enum rect_log_item_kind kind;
+    // The robot; empty for `RECT_LOG_ITEM_KIND_COMPLETE`.
+    struct rect_text robot;
+    // The first line. The lines are in the order in which they were logged.
+    const struct rect_kept_line *lines;
+    // Number of lines.
+    size_t len;
+    // Whether the lines are newer than all lines of that robot before. Otherwise they are older: the last lines arrive in parts, newest
+    // ones first.
+    bool is_new;
+} rect_log_item;
 
 // The name and the value of a parameter. `rect_parameter_number("kp", 2.0)` makes one of a number, and similar functions of the other
 // types.
@@ -1024,6 +1124,41 @@ typedef void (*rect_on_frame)(const struct rect_frame *frame, void *context);
 extern "C" {
 #endif // __cplusplus
 
+// Raises an alert: something is wrong with this robot until `rect_robot_clear_alert` ends it. `rect status`, the page and recordings
+// show it. `level` is a `rect_level`.
+//
+// ```c
+// rect_robot_alert(robot, RECT_LEVEL_WARN, "battery low", &error);
+// rect_robot_clear_alert(robot, "battery low", &error);
+// ```
+//
+// It is a retained message (`rect_robot_retained`) on the topic `alerts/<name>`, whose name is the text in words: `battery low` has
+// `alerts/battery-low`. It stays when the program ends. The same alert again replaces the first one. A subscription to
+// `*/alerts/*` receives the alerts of all robots, as JSON with `text`, `level`, `at` (milliseconds since 1970) and `program`.
+//
+// Returns `RECT_CODE_TOPIC` if the text has neither a letter nor a digit, and `RECT_CODE_NOT_RETAINED` if no router keeps it. May be
+// called on any thread; blocks until the router answers.
+enum rect_code rect_robot_alert(struct rect_robot robot,
+                                uint32_t level,
+                                const char *text,
+                                struct rect_error *error);
+
+// Raises an alert under a name of its own, for a text that changes: `battery` with the text `battery at 12 %`.
+//
+// Returns the codes of `rect_robot_alert`, for the name. May be called on any thread; blocks until the router answers.
+enum rect_code rect_robot_alert_named(struct rect_robot robot,
+                                      const char *name,
+                                      uint32_t level,
+                                      const char *text,
+                                      struct rect_error *error);
+
+// Clears the alert with this name or text. Nothing happens if it was not raised.
+//
+// Returns the codes of `rect_robot_alert`. May be called on any thread; blocks until the router answers.
+enum rect_code rect_robot_clear_alert(struct rect_robot robot,
+                                      const char *name,
+                                      struct rect_error *error);
+
 // Writes the encoding for a payload of numbers to `encoding`, e.g. `application/octet-stream;array;f32;2x3`.
 //
 // `element` is a `rect_element`. `shape` points to the sizes of the dimensions, of which there are `dimensions`. `numbers`
@@ -1271,6 +1406,70 @@ enum rect_code rect_drop(uint64_t *id,
 //
 // May be called on any thread.
 size_t rect_handle_count(void);
+
+// Logs a line, which the router of this robot keeps: `rect log` shows it, also after this program has ended.
+//
+// ```c
+// rect_robot_log(robot, RECT_LEVEL_WARN, "the gripper is slow");
+// ```
+//
+// `level` is a `rect_level`. Bytes of the text that are not UTF-8 become U+FFFD. A text has 8 kB at most; a longer one is cut.
+//
+// It never waits, and a program may ignore the result. A router keeps the last 1,000 lines of each program, and 2 MB in all. A program
+// that logs faster than that can be sent loses lines, which are counted in the log.
+//
+// Returns `RECT_CODE_ARGUMENT` if the level is invalid or the text is NULL. May be called on any thread.
+enum rect_code rect_robot_log(struct rect_robot robot,
+                              uint32_t level,
+                              const char *text);
+
+// Logs a line with everything that belongs to it, as `rect_robot_log` does.
+//
+// ```c
+// rect_log_line line = {0};
+// line.level = RECT_LEVEL_WARN;
+// line.text = "the gripper is slow";
+// line.fields = "{\"angle\": 12.5}";
+// line.file = __FILE__;
+// line.line = __LINE__;
+// rect_robot_log_line(robot, &line);
+// ```
+//
+// Returns `RECT_CODE_ARGUMENT` if the level is invalid or the text is NULL. May be called on any thread.
+enum rect_code rect_robot_log_line(struct rect_robot robot,
+                                   const struct rect_log_line *line);
+
+// Reads the log of the robot `name`, or of all robots (`*`), and writes the handle to `logs`. `rect_logs_next` returns the last lines,
+// newest ones first in parts, and with `options.follow` new ones. `options` may be NULL.
+//
+// Returns `RECT_CODE_NAME` if a name is invalid. A robot that does not answer is no error: no item names it. May be called on any thread.
+enum rect_code rect_robot_logs(struct rect_robot robot,
+                               const char *name,
+                               const struct rect_log_options *options,
+                               struct rect_logs *logs,
+                               struct rect_error *error);
+
+// Waits for the next lines and writes them to `item`.
+//
+// ```c
+// rect_log_item item;
+// size_t n;
+// while (rect_logs_next(logs, RECT_FOREVER, &item, &error) == RECT_CODE_OK) {
+//     for (n = 0; n < item.len; ++n) {
+//         printf("%.*s\n", (int)item.lines[n].text.len, (const char *)item.lines[n].text.data);
+//     }
+//     rect_drop(&item.id, NULL);
+// }
+// ```
+//
+// Returns `RECT_CODE_END` when all routers have answered, unless new lines follow, or if the session was closed; `RECT_CODE_TIMED_OUT` if
+// nothing arrives within `timeout_ms` (`RECT_FOREVER` waits without a limit); and `RECT_CODE_CLOSED` if another thread dropped the handle.
+//
+// May be called on any thread; if several threads wait, one of them receives the item.
+enum rect_code rect_logs_next(struct rect_logs logs,
+                              uint32_t timeout_ms,
+                              struct rect_log_item *item,
+                              struct rect_error *error);
 
 // Checks whether a text is a valid name of a robot or fleet. Returns `RECT_CODE_NAME` with the reason if it is not. May be
 // called on any thread.

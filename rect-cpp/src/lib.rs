@@ -5,6 +5,7 @@
 //! to them by numbers. The structs that C receives (`message`, `frame` and so on) point into these objects. An `unsafe`
 //! function requires that its caller follows the rules at the top of rect.h: pointers are NULL, or valid for the duration of
 //! the call.
+mod alert;
 mod argument;
 mod array;
 mod boundary;
@@ -20,6 +21,8 @@ mod failure;
 mod frame;
 mod gathered;
 mod handle;
+mod log;
+mod logs;
 mod message;
 mod name;
 mod options;

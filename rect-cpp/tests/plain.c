@@ -1,5 +1,5 @@
-/* Tests the C interface in C99: messages, retained ones, services, streams, transfers, parameters, the dead man's switch and the stop.
- * At the end, no handle remains.
+/* Tests the C interface in C99: messages, retained ones, services, streams, transfers, parameters, the dead man's switch, the stop, logs and
+ * alerts. At the end, no handle remains.
  *
  *     ctest --preset default -R c99
  */
@@ -346,6 +346,41 @@ static void safety(rect_robot one, rect_robot two) {
     check(calls == 3001, "one command and three losses were reported");
 }
 
+static void logs(rect_robot one, rect_robot two) {
+    rect_log_line line = {0};
+    rect_log_options options = {0};
+    rect_log_item item;
+    rect_logs reading;
+    rect_code code;
+    size_t count = 0;
+    must(rect_robot_log(one, RECT_LEVEL_INFO, "ready"), "log");
+    line.level = RECT_LEVEL_WARN;
+    line.text = "slow";
+    line.fields = "{\"angle\":12.5}";
+    line.file = __FILE__;
+    must(rect_robot_log_line(one, &line), "log_line");
+    options.level = RECT_LEVEL_WARN;
+    do {
+        must(rect_robot_logs(two, "wombat-1", &options, &reading, &error), "logs");
+        while ((code = rect_logs_next(reading, TIMEOUT_MS, &item, &error)) == RECT_CODE_OK) {
+            if (item.len > 0) {
+                check(item.kind == RECT_LOG_ITEM_KIND_LINES && equals(item.robot, "wombat-1"), "they are lines of wombat-1");
+                check(equals(item.lines[0].text, "slow") && equals(item.lines[0].source, "plain.c"), "the text and the source");
+                check(equals(item.lines[0].fields, line.fields), "the fields");
+            }
+            count += item.len;
+            must(rect_drop(&item.id, &error), "drop");
+        }
+        check(code == RECT_CODE_END, "the end is reported");
+        must(rect_drop(&reading.id, &error), "drop");
+    } while (count == 0);
+    check(count == 1, "one line has this level");
+    must(rect_robot_alert(one, RECT_LEVEL_WARN, "battery low", &error), "alert");
+    must(rect_robot_alert_named(one, "battery", RECT_LEVEL_ERROR, "battery at 3 %", &error), "alert_named");
+    must(rect_robot_clear_alert(one, "battery low", &error), "clear_alert");
+    must(rect_robot_clear_alert(one, "battery", &error), "clear_alert");
+}
+
 int main(void) {
     rect_robot one;
     rect_robot two;
@@ -359,6 +394,7 @@ int main(void) {
     transfers(one, two);
     parameters(one, two);
     safety(one, two);
+    logs(one, two);
     copy = one;
     must(rect_drop(&one.id, &error), "drop");
     check(rect_drop(&copy.id, &error) == RECT_CODE_HANDLE, "dropping a copy of a dropped handle fails");

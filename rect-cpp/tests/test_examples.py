@@ -99,6 +99,12 @@ def test_state(name: str, build: Path, own_router: None, tmp_path: Path) -> None
         printing.until("wombat-1: none, for 0 s")
 
 
+@pytest.mark.parametrize("name", ["log", "log_c"])
+def test_log(name: str, examples: Path, tmp_path: Path) -> None:
+    with Example(examples / name, "wombat-1", folder=tmp_path) as log:
+        log.until_end()
+
+
 def test_teleoperation(examples: Path, tmp_path: Path) -> None:
     with Example(examples / "teleoperation", "wombat-1", folder=tmp_path) as one:
         one.until("stopping: no command has arrived yet")
@@ -142,7 +148,7 @@ def test_wombat(examples: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["hello", "telemetry", "teleoperation", "camera", "transfer", "request", "state", "wombat"]
+    "name", ["hello", "telemetry", "teleoperation", "camera", "transfer", "request", "state", "log", "wombat"]
 )
 def test_examples_have_less_than_80_lines(name: str) -> None:
     assert len((_REPOSITORY / "examples" / name / "main.cpp").read_text().splitlines()) < 80

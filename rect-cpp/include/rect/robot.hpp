@@ -3,10 +3,12 @@
 #ifndef RECT_ROBOT_HPP
 #define RECT_ROBOT_HPP
 
+#include <algorithm>
 #include <chrono>
 #include <cstdint>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <type_traits>
 #include <utility>
 #include <vector>
@@ -15,6 +17,7 @@
 #include "connection.hpp"
 #include "deadman.hpp"
 #include "dictionary.hpp"
+#include "log.hpp"
 #include "message.hpp"
 #include "numbers.hpp"
 #include "options.hpp"
@@ -681,6 +684,67 @@ public:
                                              Functions::call_on_command, Functions::call_on_lost, functions.context(),
                                              decltype(functions)::release, &deadman, &error);
         return detail::value_or_error<Deadman>(code, error, [&] { return Deadman(deadman.id); });
+    }
+
+    /// Logs a line, which the router of this robot keeps: `rect log` shows it, also after this program has ended. The place of the call in
+    /// the source code belongs to it.
+    ///
+    ///     robot.log(rect::Level::warn, "the gripper is slow");
+    ///
+    /// It never waits and never fails. A router keeps the last 1,000 lines of each program, and 2 MB in all. A program that logs faster
+    /// than that can be sent loses lines, which are counted in the log. Bytes of the text that are not UTF-8 become U+FFFD.
+    void log(Level level, std::string_view text, const char* file = __builtin_FILE(), int line = __builtin_LINE()) const {
+        detail::log(raw(), LogLine{level, std::string(text)}, file, line);
+    }
+
+    /// Logs a line with everything that belongs to it, as `log` does.
+    void log_line(const LogLine& line, const char* file = __builtin_FILE(), int number = __builtin_LINE()) const {
+        detail::log(raw(), line, file, number);
+    }
+
+    /// Reads the log of the robot `robot`, or of all robots (`*`): the last lines, newest ones first in parts, and with
+    /// LogOptions::follow new ones. Fails with Code::name if a name is invalid. A robot that does not answer is no error: no item names it.
+    [[nodiscard]] expected<Logs> logs(const Text& robot, const LogOptions& options = {}) const {
+        rect_log_options raw_options{};
+        raw_options.program = detail::or_null(options.program);
+        raw_options.level = static_cast<std::uint32_t>(options.level);
+        raw_options.last = options.last;
+        raw_options.without_earlier = options.last == 0;
+        raw_options.follow = options.follow;
+        raw_options.timeout_ms = std::max<std::uint32_t>(1, detail::ms(options.timeout));
+        rect_logs logs;
+        rect_error error;
+        const auto code = rect_robot_logs(raw(), robot.c_str(), &raw_options, &logs, &error);
+        return detail::value_or_error<Logs>(code, error, [&] { return Logs(logs.id); });
+    }
+
+    /// Raises an alert: something is wrong with this robot until `clear_alert` ends it. `rect status`, the page and recordings show it.
+    ///
+    ///     rect::must(robot.alert(rect::Level::warn, "battery low"));
+    ///     rect::must(robot.clear_alert("battery low"));
+    ///
+    /// It is a retained message (`retained`) on the topic `alerts/<name>`, whose name is the text in words: `battery low` has
+    /// `alerts/battery-low`. It stays when the program ends. The same alert again replaces the first one. A subscription to `*/alerts/*`
+    /// receives the alerts of all robots, as JSON with `text`, `level`, `at` (milliseconds since 1970) and `program`.
+    ///
+    /// Fails with Code::topic if the text has neither a letter nor a digit, and with Code::not_retained if no router keeps it.
+    expected<void> alert(Level level, const Text& text) const {
+        rect_error error;
+        return detail::ok_or_error(rect_robot_alert(raw(), static_cast<std::uint32_t>(level), text.c_str(), &error), error);
+    }
+
+    /// Raises an alert under a name of its own, for a text that changes: `battery` with the text `battery at 12 %`. Fails like `alert`, for
+    /// the name.
+    expected<void> alert_named(const Text& name, Level level, const Text& text) const {
+        rect_error error;
+        const auto code = rect_robot_alert_named(raw(), name.c_str(), static_cast<std::uint32_t>(level), text.c_str(), &error);
+        return detail::ok_or_error(code, error);
+    }
+
+    /// Clears the alert with this name or text. Nothing happens if it was not raised. Fails like `alert`.
+    expected<void> clear_alert(const Text& name) const {
+        rect_error error;
+        return detail::ok_or_error(rect_robot_clear_alert(raw(), name.c_str(), &error), error);
     }
 
     /// Returns the counts of this program's messages.

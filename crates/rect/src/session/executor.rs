@@ -265,6 +265,11 @@ where
         self.executor.shared.wake();
     }
 
+    /// Performs the actions that are due on the calling thread, in place of the task, because the driver is about to be dropped.
+    pub(super) fn poll_now(&self) -> Result<(), Error> {
+        self.executor.step().map(|_| ())
+    }
+
     /// Returns whether the driver has finished, because the session was closed.
     pub(super) fn has_ended(&self) -> bool {
         self.executor.has_ended.load(Ordering::Relaxed)

@@ -116,6 +116,16 @@ impl ProgramLog {
     }
 }
 
+impl Drop for ProgramLog {
+    /// Sends the last lines, of a program that does not close its session.
+    fn drop(&mut self) {
+        self.0.driver().flush(Instant::now());
+        if let Err(error) = self.0.poll_now() {
+            tracing::debug!("the last lines of the log were not sent: {error}");
+        }
+    }
+}
+
 impl fmt::Debug for ProgramLog {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.debug_struct("ProgramLog").finish_non_exhaustive()
