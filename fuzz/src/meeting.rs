@@ -46,6 +46,7 @@ fn check(sent: Vec<u8>) {
             link: 7,
             joins: false,
         }),
+        accepts_compressed: false,
     };
     let accepted = async {
         accept(&mut peer(sent.clone()), Some(&*SECRET), |_| Ok(own()))

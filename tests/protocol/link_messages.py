@@ -148,6 +148,18 @@ def handshake() -> dict[str, object]:
         (good + path(7, 0) + intervals(24), None, 7, False),
         (good + b"X" + intervals(24), None, None, False),
     ]
+    compressed = [
+        (good, False),
+        (good + b"C", True),
+        (accept + b"C and further bytes", True),
+        (good + intervals(24) + path(7, 1) + b"C", True),
+        (good + intervals(24) + b"C", True),
+        (good + path(7, 1) + b"C", True),
+        (good + intervals(5) + path(7, 1) + b"C", True),
+        (good + b"XC", False),
+        (good + b"C" + path(7, 1), True),
+        (good + path(7, 1)[:-1], False),
+    ]
     return {
         "secret": SECRET,
         "first": [
@@ -171,6 +183,8 @@ def handshake() -> dict[str, object]:
             }
             for sdu, units, link, joins in hellos
         ],
+        # Hellos, and whether their senders accept compressed batches.
+        "compressed": [[sdu.hex(), accepts] for sdu, accepts in compressed],
         # Pairs of hellos, that of the lower node id first.
         "order": [[hello(1, node, b"").hex() for node in pair] for pair in [(1, 1 << 56), (255, 256), (0, 1 << 63)]],
     }
@@ -419,10 +433,57 @@ def open_link() -> dict[str, object]:
     }
 
 
+# Section 4.1.
+class Stream:
+    """Compresses the batches of one direction."""
+
+    def __init__(self, level: int = 9) -> None:
+        self.deflate = zlib.compressobj(level, zlib.DEFLATED, -15)
+        self.first = b"\x3f"
+
+    def __call__(self, batch: bytes, flush: int = zlib.Z_SYNC_FLUSH) -> bytes:
+        part = self.deflate.compress(batch) + self.deflate.flush(flush)
+        first, self.first = self.first, b"\x1f"
+        return first + part.removesuffix(b"\x00\x00\xff\xff")
+
+
+def compression() -> dict[str, object]:
+    mtu = 1000
+    batches = [b"\x25" + b"".join(b"rect/wombat-%d/arm/%d;" % (one, n) for n in range(20)) for one in range(3, 8)]
+    stored, several, second = Stream(0), Stream(), Stream()
+    exact, larger, final, empty, damaged = Stream(), Stream(), Stream(), Stream(), Stream()
+    continued = [several(batch) for batch in batches]
+    plain = b"\x04"
+    changed_head = changed(damaged(batches[0]), 1, b"\x07")
+    # What arrives, and the batch; none if it ends the link.
+    streams: list[tuple[str, list[tuple[bytes, bytes | None]]]] = [
+        ("a stream", list(zip(continued, batches, strict=True))),
+        ("batches that are not compressed", [(continued[0], batches[0]), (plain, plain), (continued[1], batches[1])]),
+        ("a stream without compression", [(stored(batch), batch) for batch in batches]),
+        ("a second stream", [(continued[0], batches[0]), (second(batches[1]), batches[1])]),
+        ("a batch of the mtu", [(exact(bytes(mtu)), bytes(mtu))]),
+        ("a batch over the mtu", [(larger(bytes(mtu + 1)), None)]),
+        ("no beginning", [(continued[1], None)]),
+        ("a part that is missing", [(continued[0], batches[0]), (b"\x1f\x07", None)]),
+        ("the end of a stream", [(final(batches[0], zlib.Z_FINISH), None)]),
+        ("an empty batch", [(empty(b""), None)]),
+        ("no part", [(b"\x3f", None)]),
+        ("another kind of block", [(changed_head, None)]),
+    ]
+    return {
+        "mtu": mtu,
+        "streams": [
+            {"case": case, "parts": [[part.hex(), None if batch is None else batch.hex()] for part, batch in parts]}
+            for case, parts in streams
+        ],
+    }
+
+
 if __name__ == "__main__":
     main(
         __doc__,
         {
+            LANES / "compression.json": compression,
             LANES / "handshake.json": handshake,
             LANES / "open-link.json": open_link,
             RADIO / "radio.json": radio,

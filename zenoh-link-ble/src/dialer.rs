@@ -178,8 +178,11 @@ async fn dial_once(
     let own = offered.clone();
     let interval = (node.intervals()).on_accepted(dialling.number, new_link, offered, answered);
     let agreed = |peer: &Hello| {
-        let (of, node) = (peer.path.filter(|_| path.is_some())?, peer.node);
-        Some(AgreedPath { of, node })
+        Some(AgreedPath {
+            of: peer.path.filter(|_| path.is_some())?,
+            node: peer.node,
+            accepts_compressed: peer.accepts_compressed,
+        })
     };
     let opened = Opened {
         path: peer.as_ref().and_then(agreed),
@@ -283,6 +286,7 @@ async fn open(
         name: node.name(),
         intervals: offered.as_ref().map(to_units),
         path: dial.path,
+        accepts_compressed: true,
     };
     if !node.link_table().on_sending_hello(dial.number) {
         return Err(already_linked(locator));

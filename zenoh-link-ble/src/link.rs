@@ -25,10 +25,12 @@ use std::{
 
 use async_trait::async_trait;
 use link_lanes::{
+    compression::{Compressor, Decompressor},
     hello::Hello,
     key_agreement::Exporter,
     lanes::{sdu::Protection, Lane},
 };
+use parking_lot::Mutex;
 use tokio_util::sync::CancellationToken;
 use zenoh_link_ble_radio::{interval::ConnectionInterval, Channel};
 use zenoh_link_commons::{LinkAuthId, LinkUnicastTrait};
@@ -66,6 +68,8 @@ pub(crate) enum Framing {
         own_window: u16,
         peer_window: u16,
         protection: Protection,
+        /// Whether the peer accepts compressed batches.
+        is_compressed: bool,
     },
     /// Bare batches, for peers without a hello. `first` is a batch that was received already.
     Plain { first: Option<Vec<u8>> },
@@ -84,6 +88,7 @@ impl Framing {
                 own_window: own_window(channel),
                 peer_window: peer.window,
                 protection,
+                is_compressed: peer.accepts_compressed,
             },
             None => Self::Plain { first },
         }
@@ -138,6 +143,9 @@ pub(crate) struct LinkBle {
 enum Batches {
     Lanes {
         traffic: Arc<Traffic>,
+        /// Compresses what is sent, if the peer accepts that. It is locked until a batch is queued.
+        compressor: Option<tokio::sync::Mutex<Compressor>>,
+        decompressor: Mutex<Decompressor>,
         /// The tasks of the link, which end with it.
         _tasks: Tasks,
     },
@@ -178,6 +186,7 @@ impl LinkBle {
                 own_window,
                 peer_window,
                 protection,
+                is_compressed,
             } => {
                 let options = TrafficOptions {
                     bounds: queueing.bounds,
@@ -190,7 +199,12 @@ impl LinkBle {
                 let (channel, close_once) = (Arc::clone(&channel), Arc::clone(&close_once));
                 let (traffic, _tasks) =
                     Traffic::start(channel, peer, options, close_once, replaced);
-                Batches::Lanes { traffic, _tasks }
+                Batches::Lanes {
+                    traffic,
+                    compressor: is_compressed.then(Default::default),
+                    decompressor: Mutex::default(),
+                    _tasks,
+                }
             }
             Framing::Plain { first } => {
                 Batches::Plain(Plain::new(Arc::clone(&channel), mtu, first, replaced))
@@ -305,6 +319,48 @@ impl LinkBle {
         }
     }
 
+    /// Sends a batch of Zenoh. Those of its own messages are compressed, except in its handshake, when it gives no priority.
+    async fn send_of_zenoh(
+        &self,
+        priority: Option<Priority>,
+        batch: &[u8],
+    ) -> Result<(), BleError> {
+        match (&self.batches, priority) {
+            (
+                Batches::Lanes {
+                    compressor: Some(compressor),
+                    ..
+                },
+                Some(Priority::Control),
+            ) => {
+                let mut compressor = compressor.lock().await;
+                let compressed = compressor.compress(batch, Instant::now());
+                self.send_batch(Lane::first(), &compressed).await?;
+                compressor.on_sent();
+                Ok(())
+            }
+            _ => self.send_batch(lane_of(priority), batch).await,
+        }
+    }
+
+    /// Restores a batch of Zenoh's own messages.
+    async fn restored(&self, batch: Vec<u8>) -> Result<Vec<u8>, BleError> {
+        let Batches::Lanes {
+            traffic,
+            decompressor,
+            ..
+        } = &self.batches
+        else {
+            return Ok(batch);
+        };
+        let max = usize::from(self.mtu);
+        let restored = decompressor.lock().decompress(batch, max);
+        match restored {
+            Ok(batch) => Ok(batch),
+            Err(error) => Err(traffic.end_for(error.into()).await),
+        }
+    }
+
     async fn receive_batch(
         &self,
         priority: Option<Priority>,
@@ -317,6 +373,10 @@ impl LinkBle {
             // Zenoh gives no priority during its handshake, and always one after it.
             (Batches::Lanes { traffic, .. }, None) => traffic.read_handshake().await?,
             (Batches::Plain(plain), _) => plain.read().await?,
+        };
+        let batch = match priority {
+            Some(Priority::Control) => self.restored(batch).await?,
+            _ => batch,
         };
         let room = buffer
             .get_mut(..batch.len())
@@ -382,7 +442,7 @@ impl LinkUnicastTrait for LinkBle {
     }
 
     async fn write_all(&self, buffer: &[u8], priority: Option<Priority>) -> ZResult<()> {
-        let sent = self.send_batch(lane_of(priority), buffer).await;
+        let sent = self.send_of_zenoh(priority, buffer).await;
         match &sent {
             Ok(()) | Err(BleError::BatchTooLarge { .. }) => {}
             Err(error) => self.close_once.close(&describe(error)),

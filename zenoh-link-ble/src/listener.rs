@@ -392,6 +392,7 @@ impl Listener {
                 name: self.name.clone(),
                 intervals: Some(to_units(&intervals)),
                 path,
+                accepts_compressed: true,
             };
             let accepted = handshake.answer(&HandshakeMessage::Accept(own)).await;
             if let Err(error) = accepted {
@@ -402,8 +403,11 @@ impl Listener {
         let (protection, exporter) = handshake.finish();
         let opened = Opened {
             path: peer.as_ref().and_then(|peer| {
-                let (of, node) = (path?, peer.node);
-                Some(AgreedPath { of, node })
+                Some(AgreedPath {
+                    of: path?,
+                    node: peer.node,
+                    accepts_compressed: peer.accepts_compressed,
+                })
             }),
             exporter,
             channel: Arc::clone(&channel),

@@ -13,7 +13,8 @@ mod shared {
 use std::{process::Command, time::Duration};
 
 use contract::{
-    channel, closing, flooding, handshake, handshake_flood, link, misbehaving, secret, World,
+    channel, closing, compression, flooding, handshake, handshake_flood, link, misbehaving, secret,
+    World,
 };
 use shared::peer::within;
 

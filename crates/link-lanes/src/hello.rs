@@ -34,6 +34,8 @@ const KIND_KEY_ANSWER: u8 = 5;
 const INTERVALS_FOLLOW: u8 = b'I';
 /// The byte that precedes the fields of a path, after the intervals.
 const PATH_FOLLOWS: u8 = b'P';
+/// The byte of a sender that accepts compressed batches, after the fields of a path.
+const ACCEPTS_COMPRESSED: u8 = b'C';
 
 /// The content of HELLO and ACCEPT: the properties of the side that sends it.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -54,6 +56,8 @@ pub struct Hello {
     pub intervals: Option<IntervalUnits>,
     /// The link of which this channel becomes a path. `None` if the channel carries Zenoh's batches itself.
     pub path: Option<PathOf>,
+    /// Whether the sender accepts compressed batches ([`compression`](crate::compression)).
+    pub accepts_compressed: bool,
 }
 
 /// The link of which a channel becomes a path (crate `zenoh-link-any`).
@@ -301,6 +305,9 @@ fn encode_hello(sdu: &mut Vec<u8>, kind: u8, hello: &Hello) {
         sdu.extend_from_slice(&[PATH_FOLLOWS, u8::from(path.joins)]);
         sdu.extend_from_slice(&path.link.to_le_bytes());
     }
+    if hello.accepts_compressed {
+        sdu.push(ACCEPTS_COMPRESSED);
+    }
 }
 
 /// Encodes the intervals. Zero stands for no requested interval.
@@ -313,16 +320,19 @@ fn encode_intervals(sdu: &mut Vec<u8>, intervals: &IntervalUnits) {
     }
 }
 
-/// Decodes the fields of a path, if they come next.
-fn decode_path(rest: &[u8]) -> Option<PathOf> {
-    let [PATH_FOLLOWS, joins, rest @ ..] = rest else {
-        return None;
+/// Splits off the fields of a path, if they come next.
+fn split_path(rest: &[u8]) -> (Option<PathOf>, &[u8]) {
+    let [PATH_FOLLOWS, joins, body @ ..] = rest else {
+        return (None, rest);
     };
-    let (&link, _) = rest.split_first_chunk()?;
-    Some(PathOf {
+    let Some((&link, rest)) = body.split_first_chunk() else {
+        return (None, &[]);
+    };
+    let path = PathOf {
         link: u64::from_le_bytes(link),
         joins: joins & 1 == 1,
-    })
+    };
+    (Some(path), rest)
 }
 
 /// Splits off the connection intervals, if they come next.
@@ -398,6 +408,7 @@ fn decode_hello(
     let (name, rest) = body.split_at_checked(name_length).ok_or(length)?;
     let name = std::str::from_utf8(name).map_err(|_| HandshakeMessageError::Name)?;
     let (intervals, rest) = split_intervals(rest);
+    let (path, rest) = split_path(rest);
     let mtu = u16::from_le_bytes(mtu);
     if mtu < MIN_MTU {
         return Err(HandshakeMessageError::Mtu(mtu));
@@ -413,7 +424,8 @@ fn decode_hello(
         window,
         name: name.to_owned(),
         intervals: intervals.and_then(decode_intervals),
-        path: decode_path(rest),
+        path,
+        accepts_compressed: rest.first() == Some(&ACCEPTS_COMPRESSED),
     })
 }
 

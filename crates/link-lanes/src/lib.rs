@@ -8,6 +8,7 @@
 //! All types are given the time and never wait. `zenoh-link-ble` moves their bytes over Bluetooth channels, and
 //! `zenoh-link-any` also over TCP.
 #![cfg_attr(not(test), warn(clippy::unwrap_used, clippy::expect_used))]
+pub mod compression;
 pub mod first_message;
 pub mod goodbye;
 pub mod hello;

@@ -172,11 +172,15 @@ impl Hub {
 
     /// Creates the state of a link that begins with a Bluetooth path.
     fn add_link_of(&self, path: &BlePath, id: u64, role: Role) -> Arc<Shared> {
-        let node = path.agreed().map_or(NodeId(0), |agreed| agreed.node);
-        self.add_link(id, path.peer().to_owned(), node, role, path.exporter())
+        let agreed = path.agreed();
+        let node = agreed.map_or(NodeId(0), |agreed| agreed.node);
+        let is_compressed = agreed.is_some_and(|agreed| agreed.accepts_compressed);
+        let (peer, keys) = (path.peer().to_owned(), path.exporter());
+        self.add_link(id, peer, node, role, keys, is_compressed)
     }
 
-    /// Creates the state of a link. Without keys for its further paths, it has none.
+    /// Creates the state of a link. Without keys for its further paths, it has none. `is_compressed`: the peer accepts compressed
+    /// batches.
     fn add_link(
         &self,
         id: u64,
@@ -184,9 +188,11 @@ impl Hub {
         node: NodeId,
         role: Role,
         keys: Option<&Exporter>,
+        is_compressed: bool,
     ) -> Arc<Shared> {
         let proof = keys.map(|keys| Proof::new(keys.key(KEY_LABEL), keys.key(TAG_LABEL), role));
-        let shared = Shared::new(id, peer, node, role, proof, Options::default());
+        let options = Options::default();
+        let shared = Shared::new(id, peer, node, role, proof, is_compressed, options);
         self.links.lock().insert(id, Arc::downgrade(&shared));
         shared
     }

@@ -8,7 +8,12 @@ use std::{
 };
 
 use async_trait::async_trait;
-use link_lanes::lanes::Lane;
+use link_lanes::{
+    compression::{Compressor, Decompressor},
+    lanes::Lane,
+};
+use parking_lot::Mutex;
+use tokio::time::Instant;
 use zenoh_link_commons::{LinkAuthId, LinkUnicastTrait};
 use zenoh_protocol::{
     core::{Locator, Priority},
@@ -34,6 +39,9 @@ pub(crate) struct LinkAny {
     shared: Arc<Shared>,
     src: Locator,
     dst: Locator,
+    /// Compresses what is sent, if the peer accepts that. It is locked until a batch is queued.
+    compressor: Option<tokio::sync::Mutex<Compressor>>,
+    decompressor: Mutex<Decompressor>,
     is_closed: AtomicBool,
 }
 
@@ -48,9 +56,38 @@ impl LinkAny {
         Ok(Arc::new(Self {
             src: locator(adapter, format!("link={number}"))?,
             dst: locator(&shared.peer, String::new())?,
+            compressor: shared.is_compressed.then(Default::default),
+            decompressor: Mutex::default(),
             shared,
             is_closed: AtomicBool::new(false),
         }))
+    }
+
+    /// Sends a batch. Those of Zenoh's own messages are compressed, except in its handshake, when it gives no priority.
+    async fn send(&self, priority: Option<Priority>, batch: &[u8]) -> Result<(), AnyError> {
+        match (&self.compressor, priority) {
+            (Some(compressor), Some(Priority::Control)) => {
+                let mut compressor = compressor.lock().await;
+                let compressed = compressor.compress(batch, Instant::now().into_std());
+                self.shared.write(Lane::first(), &compressed).await?;
+                compressor.on_sent();
+                Ok(())
+            }
+            _ => self.shared.write(lane_of(priority), batch).await,
+        }
+    }
+
+    async fn receive(&self, priority: Option<Priority>) -> Result<Vec<u8>, AnyError> {
+        let batch = self.shared.read(lane_of(priority)).await?;
+        if priority != Some(Priority::Control) {
+            return Ok(batch);
+        }
+        let max = usize::from(self.shared.max_batch());
+        let restored = self.decompressor.lock().decompress(batch, max);
+        restored.map_err(|error| {
+            self.shared.fail(self.shared.protocol(&error));
+            self.shared.protocol(&error)
+        })
     }
 }
 
@@ -107,12 +144,12 @@ impl LinkUnicastTrait for LinkAny {
     }
 
     async fn write_all(&self, buffer: &[u8], priority: Option<Priority>) -> ZResult<()> {
-        let written = self.shared.write(lane_of(priority), buffer).await;
+        let written = self.send(priority, buffer).await;
         Ok(written.map_err(into_zenoh)?)
     }
 
     async fn read(&self, buffer: &mut [u8], priority: Option<Priority>) -> ZResult<usize> {
-        let batch = self.shared.read(lane_of(priority)).await;
+        let batch = self.receive(priority).await;
         let batch = batch.map_err(into_zenoh)?;
         let (size, max) = (batch.len(), buffer.len());
         let room = buffer.get_mut(..size);

@@ -217,6 +217,7 @@ mod tests {
                 link: 7,
                 joins: false,
             }),
+            accepts_compressed: false,
         }
     }
 

@@ -37,6 +37,8 @@ pub(crate) struct Shared {
     pub(crate) role: Role,
     /// The keys that prove that a connection belongs to the link; `None` without a secret.
     pub(crate) proof: Option<Proof>,
+    /// Whether the peer accepts compressed batches.
+    pub(crate) is_compressed: bool,
     pub(crate) since: Instant,
     options: Options,
     state: Mutex<State>,
@@ -98,6 +100,7 @@ impl Shared {
         node: NodeId,
         role: Role,
         proof: Option<Proof>,
+        is_compressed: bool,
         options: Options,
     ) -> Arc<Self> {
         let now = Instant::now();
@@ -107,6 +110,7 @@ impl Shared {
             node,
             role,
             proof,
+            is_compressed,
             since: now,
             options,
             state: Mutex::new(State {
@@ -414,7 +418,7 @@ impl Shared {
         }
     }
 
-    fn protocol(&self, what: &dyn std::fmt::Display) -> AnyError {
+    pub(crate) fn protocol(&self, what: &dyn std::fmt::Display) -> AnyError {
         AnyError::Protocol {
             peer: self.peer.clone(),
             what: what.to_string(),

@@ -45,6 +45,8 @@ pub struct AgreedPath {
     pub of: PathOf,
     /// The peer's Zenoh runtime.
     pub node: NodeId,
+    /// Whether the peer accepts compressed batches on the link.
+    pub accepts_compressed: bool,
 }
 
 /// An open path.

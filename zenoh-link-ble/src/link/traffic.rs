@@ -436,6 +436,15 @@ impl Traffic {
         self.fail(violation.goodbye(), error);
     }
 
+    /// Ends the link because of a violation by the peer. Returns the reason when it has ended.
+    pub(crate) async fn end_for(&self, violation: Violation) -> BleError {
+        let what = violation.to_string();
+        self.fail_for(violation);
+        self.ended.cancelled().await;
+        let peer = self.channel.peer();
+        BleError::Protocol { peer, what }
+    }
+
     /// Ends the link from this side: discards what is queued and sends `goodbye`. The receiving task does the rest. Only the
     /// first reason counts.
     fn fail(&self, goodbye: Goodbye, error: BleError) {

@@ -2,6 +2,7 @@
 //! virtual time, `contract_bluez.rs` on the Bluetooth stack of the kernel (in the VM: `tests/vm/test`).
 pub mod channel;
 pub mod closing;
+pub mod compression;
 pub mod flooding;
 pub mod handshake;
 pub mod handshake_flood;
@@ -118,6 +119,9 @@ macro_rules! for_each_scenario {
             error_names_a_peer_that_does_not_advertise: link,
             rejects_a_second_listener_with_the_same_name: link,
             listener_can_be_deleted_and_started_again: link,
+            delivers_declarations_in_order_in_both_directions: compression,
+            compresses_declarations_alone_and_only_for_a_peer_that_accepts_that: compression,
+            compressed_batch_that_cannot_be_restored_ends_the_link: compression,
             dialler_closes_the_connection_after_the_peer_has_ended_the_link: closing,
             dialler_closes_the_connection_after_a_refusal: closing,
             side_that_ends_a_link_closes_its_connection: closing,

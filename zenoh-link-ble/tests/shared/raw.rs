@@ -55,6 +55,7 @@ pub fn hello(node: u64, name: &str) -> Hello {
         name: name.to_owned(),
         intervals: None,
         path: None,
+        accepts_compressed: false,
     }
 }
 
@@ -90,8 +91,13 @@ pub struct RawPeer {
 impl RawPeer {
     /// Dials a listener and completes the handshake.
     pub async fn dial(from: &Arc<dyn Radio>, to: &Arc<dyn Radio>, name: &str) -> Self {
+        Self::dial_with(from, to, hello(5, name)).await
+    }
+
+    /// Dials a listener and completes the handshake with that hello.
+    pub async fn dial_with(from: &Arc<dyn Radio>, to: &Arc<dyn Radio>, own: Hello) -> Self {
         let channel = raw_channel(from, to).await;
-        let hello = HandshakeMessage::Hello(hello(5, name)).encode();
+        let hello = HandshakeMessage::Hello(own).encode();
         let answer = answer_to(&channel, &hello).await;
         let Some(HandshakeMessage::Accept(Hello { window, .. })) = answer else {
             panic!("{answer:?}");

@@ -17,6 +17,8 @@ struct Vectors {
     first: Vec<First>,
     sealed: Vec<Sealed>,
     hellos: Vec<Decoded>,
+    /// Hellos, and whether their senders accept compressed batches.
+    compressed: Vec<(String, bool)>,
     order: Vec<[String; 2]>,
 }
 
@@ -166,6 +168,17 @@ fn hellos_decode_to_the_documented_fields() {
         assert_eq!(decoded, intervals, "{sdu}");
         let path = hello.path.map(|path| (path.link, path.joins));
         assert_eq!(path, link.map(|link| (link, joins)), "{sdu}");
+    }
+}
+
+#[test]
+fn hellos_state_whether_compressed_batches_are_accepted() {
+    for (sdu, accepts) in vectors().compressed {
+        let message = HandshakeMessage::decode(&bytes(&sdu));
+        let Ok(HandshakeMessage::Hello(hello) | HandshakeMessage::Accept(hello)) = message else {
+            panic!("{sdu}: {message:?}");
+        };
+        assert_eq!(hello.accepts_compressed, accepts, "{sdu}");
     }
 }
 

@@ -11,6 +11,7 @@ fn hello(name: &str) -> Hello {
         name: name.to_owned(),
         intervals: None,
         path: None,
+        accepts_compressed: false,
     }
 }
 
@@ -23,6 +24,19 @@ fn hello_with_intervals(requested: Option<u16>, avoid: &[u16]) -> Hello {
         intervals: Some(intervals),
         path: None,
         ..hello("ab")
+    }
+}
+
+/// Returns a hello with all optional fields.
+fn longest_hello() -> Hello {
+    Hello {
+        name: "x".repeat(MAX_NAME),
+        path: Some(PathOf {
+            link: u64::MAX,
+            joins: true,
+        }),
+        accepts_compressed: true,
+        ..hello_with_intervals(Some(24), &[25; MAX_INTERVALS - 1])
     }
 }
 
@@ -45,6 +59,7 @@ fn every_message_decodes_to_what_was_encoded() {
         HandshakeMessage::Refuse(Refusal::Other(200)),
         HandshakeMessage::Hello(hello_with_intervals(Some(24), &[25, 3200])),
         HandshakeMessage::Accept(hello_with_intervals(None, &[])),
+        HandshakeMessage::Hello(longest_hello()),
         HandshakeMessage::Key(key()),
         HandshakeMessage::KeyAnswer(key()),
     ] {
@@ -157,8 +172,8 @@ fn invalid_intervals_are_ignored() {
 #[test]
 fn longest_hello_fits() {
     let hello = Hello {
-        name: "x".repeat(MAX_NAME),
-        ..hello_with_intervals(Some(24), &[25; MAX_INTERVALS])
+        intervals: hello_with_intervals(Some(24), &[25; MAX_INTERVALS]).intervals,
+        ..longest_hello()
     };
     let sdu = HandshakeMessage::Hello(hello).encode();
     assert!(sdu.len() <= MAX_SIZE, "{}", sdu.len());

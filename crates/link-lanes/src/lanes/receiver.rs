@@ -2,7 +2,7 @@
 //! restarts lanes, which bounds the memory that unread batches occupy.
 use std::collections::VecDeque;
 
-use crate::goodbye::Goodbye;
+use crate::{compression::NotCompressed, goodbye::Goodbye};
 
 use super::{
     credits::{cost, Acks, CreditError},
@@ -41,6 +41,9 @@ pub enum Violation {
     /// A batch arrived on another lane than the first before Zenoh's handshake was complete.
     #[error("a batch arrived on lane {} during Zenoh's handshake, which takes place on lane 0", .0.number())]
     Handshake(Lane),
+    /// A compressed batch cannot be restored.
+    #[error(transparent)]
+    Compression(#[from] NotCompressed),
     /// An SDU arrived after the goodbye.
     #[error("it sent an sdu after the goodbye")]
     AfterGoodbye,

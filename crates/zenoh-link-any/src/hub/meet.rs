@@ -73,8 +73,9 @@ impl Hub {
             return Err(AnyError::AlreadyLinked(peer));
         }
         let has_name = !met.peer.name.is_empty();
-        let node = met.peer.node;
-        let shared = self.add_link(id, peer, node, Role::Opener, Some(&met.exporter));
+        let (node, is_compressed) = (met.peer.node, met.peer.accepts_compressed);
+        let keys = Some(&met.exporter);
+        let shared = self.add_link(id, peer, node, Role::Opener, keys, is_compressed);
         let proven = connect::prove(&shared, stream).await;
         let connection = proven.map_err(|error| failed(error.into()))?;
         let carrying = run::run_tcp(Arc::clone(&shared), connection, true);
@@ -121,7 +122,8 @@ impl Hub {
         }
         let (peer, node) = (name_of(&met.peer, address), met.peer.node);
         let id = met.peer.path.map_or(0, |path| path.link);
-        let shared = self.add_link(id, peer, node, Role::Acceptor, Some(&met.exporter));
+        let (keys, is_compressed) = (Some(&met.exporter), met.peer.accepts_compressed);
+        let shared = self.add_link(id, peer, node, Role::Acceptor, keys, is_compressed);
         let connection = connect::accept_as(&shared, stream).await?;
         // A peer that still has the earlier link closes the connection instead.
         self.replace_by(&shared);
@@ -187,6 +189,7 @@ fn hello(own: Identity, path: PathOf) -> Hello {
         name: own.name,
         intervals: None,
         path: Some(path),
+        accepts_compressed: true,
     }
 }
 

@@ -24,6 +24,7 @@ fn hello(node: NodeId, name: &str) -> Hello {
         name: name.to_owned(),
         intervals: None,
         path: None,
+        accepts_compressed: false,
     }
 }
 
