@@ -14,6 +14,7 @@ mod detached;
 mod driver;
 mod errors;
 mod key_space;
+mod log;
 mod message;
 mod parameters;
 mod picture;
@@ -59,6 +60,10 @@ mod _rect {
         key_space::{
             check_encoding, check_name, check_topic, encoding_parts, pattern, InternalTopic,
             KeySpace,
+        },
+        log::{
+            alert_topic, alerts_query, level_of_logging, log_keeper, log_reader, write_alert,
+            LogOutbox,
         },
         message::{Inbound, MessageMetadata},
         parameters::{

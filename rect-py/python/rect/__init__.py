@@ -12,10 +12,12 @@
 """
 
 from rect._rect import Codec, Dictionary, __version__
+from rect.alert import Alert
 from rect.choices import (
     Confirmation,
     ConnectionState,
     EventKind,
+    Level,
     LossyFormat,
     PixelFormat,
     StreamMode,
@@ -55,6 +57,8 @@ from rect.errors import (
     ZenohError,
 )
 from rect.events import Counters, Event, Events
+from rect.log import LogHandler
+from rect.logs import LogLine, Logs
 from rect.message import Message, Retained
 from rect.parameter_types import Bool, Choice, Integer, Number, Numbers, Parameter, Text
 from rect.parameters import GroupOptions, ParameterChange, ParameterGroup
@@ -73,6 +77,7 @@ from rect.transfer import OutgoingTransfer, Progress, Received, Transfers
 from rect.values import Cbor, Payload, Picture
 
 __all__ = [
+    "Alert",
     "Bool",
     "Cbor",
     "Choice",
@@ -99,9 +104,13 @@ __all__ = [
     "Interrupted",
     "InvalidNameError",
     "InvalidTopicError",
+    "Level",
     "LinkLane",
     "LinkPath",
+    "LogHandler",
+    "LogLine",
     "LoginRefused",
+    "Logs",
     "LossyFormat",
     "Message",
     "MismatchError",

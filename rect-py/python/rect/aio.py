@@ -24,12 +24,15 @@ import zenoh as stock
 from rect import _rect
 from rect import robot as blocking
 from rect.aio_safety import Deadman, FleetStop
-from rect.choices import Urgency, WhenFull
+from rect.alert import Alert
+from rect.choices import Level, Urgency, WhenFull
 from rect.deadline import Deadline
 from rect.deadman import DeadmanExecutor
 from rect.errors import CodecError, TimedOut
 from rect.events import Counters, Event
 from rect.events import Events as BlockingEvents
+from rect.logs import LogLine
+from rect.logs import Logs as BlockingLogs
 from rect.message import Message
 from rect.options import Options, seconds, text
 from rect.parameter_types import Declared
@@ -573,6 +576,44 @@ class Robot:
         """Forgets a retained topic of this robot; see `rect.Robot.forget`."""
         await asyncio.to_thread(self._robot.forget, topic)
 
+    def log(
+        self,
+        text: str,
+        level: Level = "info",
+        *,
+        logger: str = "",
+        fields: Mapping[str, Any] | None = None,
+        source: str = "",
+        private: bool = False,
+    ) -> None:
+        """Logs a line, without waiting; see `rect.Robot.log`."""
+        self._robot.log(text, level, logger=logger, fields=fields, source=source, private=private)
+
+    def logs(
+        self,
+        robot: str = "*",
+        *,
+        program: str | None = None,
+        level: Level = "debug",
+        last: int = 100,
+        follow: bool = False,
+        timeout: float = 10.0,
+    ) -> Logs:
+        """Reads the log of a robot, or of all robots, for `async for`; see `rect.Robot.logs`."""
+        return Logs(self._robot.logs(robot, program=program, level=level, last=last, follow=follow, timeout=timeout))
+
+    async def alert(self, text: str, level: Level = "warn", *, name: str | None = None) -> None:
+        """Raises an alert; see `rect.Robot.alert`."""
+        await asyncio.to_thread(lambda: self._robot.alert(text, level, name=name))
+
+    async def clear_alert(self, name_or_text: str) -> None:
+        """Clears an alert; see `rect.Robot.clear_alert`."""
+        await asyncio.to_thread(self._robot.clear_alert, name_or_text)
+
+    async def alerts(self, robot: str = "*") -> list[Alert]:
+        """Returns the alerts that are raised now; see `rect.Robot.alerts`."""
+        return await asyncio.to_thread(self._robot.alerts, robot)
+
     async def wait_for_peer(self, robot: str, timeout: float) -> None:
         """Waits until `robot` is reachable; see `rect.Robot.wait_for_peer`."""
         await asyncio.to_thread(self._robot.wait_for_peer, robot, timeout)
@@ -807,6 +848,28 @@ class Events(_Source[Event]):
     def dropped(self) -> int:
         """Number of events dropped because the receive queue was full."""
         return self._events.dropped
+
+
+class Logs(_Source[LogLine]):
+    """Iterates over lines of logs with `async for`; see `rect.Logs`."""
+
+    def __init__(self, logs: BlockingLogs) -> None:
+        super().__init__(logs, logs._expected, logs.next_async)
+        self._logs = logs
+
+    async def next(self, timeout: float | None = None) -> LogLine:
+        """Waits for the next line and returns it; see `rect.Logs.next`."""
+        return await self._next(timeout)
+
+    @property
+    def robots(self) -> list[str]:
+        """Names of the robots that have answered so far; see `rect.Logs.robots`."""
+        return self._logs.robots
+
+    @property
+    def missed(self) -> int:
+        """How often new lines were missed; see `rect.Logs.missed`."""
+        return self._logs.missed
 
 
 class Subscription(Generic[T]):

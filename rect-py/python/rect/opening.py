@@ -6,6 +6,7 @@ from rect import _rect
 from rect.decoder import Decoder
 from rect.events import follow_links
 from rect.executor import Executor
+from rect.log import ProgramLog
 from rect.options import Options, tokens_of_router
 from rect.program import Presence, name_of_script
 from rect.recipients import Recipients
@@ -21,6 +22,7 @@ def open_session(options: Options) -> Session:
         session.program = Presence(session, name_of_script() if options.program == "" else options.program)
         session.recipients = Recipients(session)
         session.state = State(session)
+        session.log = ProgramLog(session)
         if session.is_direct:
             presence = _rect.direct_presence(session.key_space, str(session.zenoh.zid()))
             Executor(session, presence).start("rect presence")

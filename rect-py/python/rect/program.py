@@ -44,8 +44,10 @@ class Program:
 
 
 def name_of_script() -> str | None:
-    """Returns the value of the environment variable `RECT_PROGRAM`, or else the name of the script that runs. `None` for tests,
-    notebooks and `python -c`."""
+    """Returns the value of the environment variable `RECT_PROGRAM`, or else the name of the script that runs.
+
+    `None` for tests, notebooks and `python -c`.
+    """
     if name := os.environ.get("RECT_PROGRAM"):
         return name
     return _rect.program_name(sys.argv[0]) if sys.argv else None

@@ -10,10 +10,13 @@ from typing import Any, Union, overload
 import zenoh
 
 from rect import _rect, advice, registry
-from rect.choices import LossyFormat, StreamMode, Urgency, WhenFull
+from rect import log as program_log
+from rect.alert import Alert, alerts, clear_alert, raise_alert
+from rect.choices import Level, LossyFormat, StreamMode, Urgency, WhenFull
 from rect.deadman import Deadman, DeadmanExecutor
 from rect.errors import OptionError
 from rect.events import Counters, Event, Events
+from rect.logs import Logs
 from rect.message import Message
 from rect.opening import open_session
 from rect.options import Options, lifetime_of, seconds, text, whole
@@ -95,8 +98,8 @@ def connect(
 class Robot:
     """A program of a robot, connected to the other robots of the fleet.
 
-    Returned by `connect`. It may be used from several threads. After `close`, every method except `counters` and
-    `close` raises `Closed`. A call that Zenoh rejects for another reason raises `ZenohError`.
+    Returned by `connect`. It may be used from several threads. After `close`, every method except `log`, `counters`
+    and `close` raises `Closed`. A call that Zenoh rejects for another reason raises `ZenohError`.
     """
 
     def __init__(self, options: Options) -> None:
@@ -344,6 +347,107 @@ class Robot:
         """
         self._session.check()
         self._session.state.forget(text("topic", topic))
+
+    def log(
+        self,
+        text: str,
+        level: Level = "info",
+        *,
+        logger: str = "",
+        fields: Mapping[str, Any] | None = None,
+        source: str = "",
+        private: bool = False,
+    ) -> None:
+        """Logs a line, which the router of this robot keeps: `rect log` shows it, also after this program has ended.
+
+        It never waits for the network, and does nothing once the robot is closed. A router keeps the last 1,000 lines
+        of each program, and 2 MB in all. A program that logs faster than lines can be sent loses some, which are
+        counted in the log. `LogHandler` logs what the program reports through Python's `logging`.
+
+        - `text`: may have several lines, such as those of a traceback. It has 8 kB at most; a longer one is cut.
+        - `level`: `debug`, `info`, `warn` or `error`. Default: `info`.
+        - `logger`: part of the program.
+        - `fields`: values with names: numbers, texts and booleans; anything else becomes text.
+        - `source`: place in the source code, such as `arm.py:12`.
+        - `private`: whether the line stays on this robot: access control does not let other robots read it. For what
+          may contain paths or passwords. Default: `False`.
+
+        Raises `OptionError` if there is no such level.
+
+        >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
+        ...     robot.log("the gripper is slow", "warn", fields={"angle": 12.5})
+        """
+        program_log.log(self._session, text, level, logger, fields, source, private)
+
+    def logs(
+        self,
+        robot: str = "*",
+        *,
+        program: str | None = None,
+        level: Level = "debug",
+        last: int = 100,
+        follow: bool = False,
+        timeout: float = 10.0,
+    ) -> Logs:
+        """Reads the log of a robot, or of all robots (`*`), and returns an iterator of its lines.
+
+        The lines of each robot arrive in their order, and those of several robots by their time, once all routers have
+        answered. A robot that is not reachable has no lines; `Logs.robots` names those that have answered. Private
+        lines are read only if `robot` is the name of this robot.
+
+        - `program`: only the lines of one program. Default: all programs.
+        - `level`: this level and more important ones. Default: all levels.
+        - `last`: maximum number of lines of each robot that were logged before, 10,000 at most. Default: 100.
+        - `follow`: whether new lines follow, until the iterator or the robot is closed. They cross the link, in the
+          background, while somebody follows. Default: `False`.
+        - `timeout`: how long the router of a robot may take to answer, in seconds. Default: 10.
+
+        Raises `InvalidNameError`, `OptionError` and `Closed`. Example:
+
+            for line in robot.logs("wombat-2", level="warn"):
+                print(line.at, line.program, line.text)
+        """
+        self._session.check()
+        return Logs(self._session, robot, program, level, last, follow, timeout)
+
+    def alert(self, text: str, level: Level = "warn", *, name: str | None = None) -> None:
+        """Raises an alert: something is wrong with this robot until `clear_alert` ends it. `rect status`, the page and
+        recordings show it.
+
+        It is a retained message (`publish`) on the topic `alerts/<name>`. It stays when the program ends. The same
+        alert again replaces the first one.
+
+        - `text`: what is wrong.
+        - `level`: `debug`, `info`, `warn` or `error`. Default: `warn`.
+        - `name`: name of the alert, for a text that changes: `battery` with the text `battery at 12 %`. Default: the
+          text in words: `battery low` has the topic `alerts/battery-low`.
+
+        Raises `InvalidTopicError` if the name has neither a letter nor a digit, `OptionError`, `Closed`, and
+        `NotRetained` if no router keeps it.
+
+        >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
+        ...     robot.alert("battery low")
+        ...     [alert.text for alert in robot.alerts()]
+        ['battery low']
+        """
+        raise_alert(self._session, text, level, name)
+
+    def clear_alert(self, name_or_text: str) -> None:
+        """Clears the alert of this robot with this name or text. Nothing happens if it was not raised.
+
+        Raises `InvalidTopicError`, `Closed`, and `NotRetained` if no router keeps values.
+        """
+        clear_alert(self._session, name_or_text)
+
+    def alerts(self, robot: str = "*") -> list[Alert]:
+        """Returns the alerts of a robot, or of all robots (`*`), that are raised now.
+
+        Those of each robot are in the order of their levels, and then of their age. A robot that is not reachable, or
+        does not answer within 5 s, is left out. A subscription to `*/alerts/*` receives changes.
+
+        Raises `InvalidNameError` and `Closed`.
+        """
+        return alerts(self._session, robot)
 
     def wait_for_peer(self, robot: str, timeout: float) -> None:
         """Waits until `robot` is reachable. Returns at once if it is. `timeout` is in seconds.

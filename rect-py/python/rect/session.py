@@ -11,7 +11,7 @@ import threading
 import time
 import weakref
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
 import zenoh
@@ -112,6 +112,22 @@ class Retaining(Protocol):
         """Returns the last value of a topic, if there is one."""
 
 
+class Logging(Protocol):
+    """The lines that the program logs."""
+
+    def log(
+        self,
+        at_ms: int,
+        level: str,
+        logger: str,
+        text: str,
+        fields: Mapping[str, Any] | None,
+        source: str,
+        private: bool,
+    ) -> None:
+        """Logs a line."""
+
+
 class Decoding(Protocol):
     """Decodes payloads, with dictionaries that it fetches and serves."""
 
@@ -156,6 +172,8 @@ class Session:
         self.abandoned: deque[Ending] = deque()
         #: Queues at which calls wait for replies, and requests that wait for one.
         self.receive_queues: set[Waited] = set()
+        #: Functions to call on close, while everything works.
+        self.before_close: list[Callable[[], object]] = []
         #: Functions to call on close, before the Zenoh sessions are closed.
         self.close_callbacks: list[Callable[[], object]] = []
         #: Calls of Zenoh that are in progress.
@@ -174,6 +192,8 @@ class Session:
         self.recipients: Checking
         #: Retained messages; set when the session is complete.
         self.state: Retaining
+        #: Lines that the program logs; set when the session is complete.
+        self.log: Logging
         #: The stop of the fleet, once the program takes part in it.
         self.fleet_stop: Any = None
         #: Links of the robot's router; `None` without a router.
@@ -271,6 +291,8 @@ class Session:
         self.counters.on_sent(len(payload.bytes))
 
     def close(self) -> None:
+        for callback in list(self.before_close):
+            callback()
         with self._lock:
             if self._why_closed is not None:
                 return
