@@ -26,6 +26,7 @@ use tokio::{
     process::{Child, Command},
     signal::unix::{signal, SignalKind},
     task::JoinHandle,
+    time::timeout,
 };
 
 use self::{
@@ -41,6 +42,8 @@ use crate::{
 
 /// How long the output of a program is read after its end. Programs that it has left behind may hold it open.
 const OUTPUT_AFTER_END: Duration = Duration::from_millis(500);
+/// How soon the lines of a stack trace follow one another.
+const TOGETHER: Duration = Duration::from_millis(50);
 /// The maximum number of bytes that are read at once.
 const READ: usize = 16 << 10;
 /// The maximum length of the reason in an alert, in characters.
@@ -351,7 +354,20 @@ fn pass_on(
         let mut lines = Lines::default();
         let mut buffer = vec![0; READ];
         let mut is_open = true;
-        while let Ok(count @ 1..) = from.read(&mut buffer).await {
+        loop {
+            let read = from.read(&mut buffer);
+            let read = if lines.is_waiting() {
+                match timeout(TOGETHER, read).await {
+                    Ok(read) => read,
+                    Err(_) => {
+                        keep.keep(lines.settle());
+                        continue;
+                    }
+                }
+            } else {
+                read.await
+            };
+            let Ok(count @ 1..) = read else { break };
             let bytes = &buffer[..count];
             is_open = is_open && to.write_all(bytes).and_then(|()| to.flush()).is_ok();
             keep.keep(lines.add(bytes));
@@ -384,11 +400,11 @@ impl End {
             (None, code) => ("exit_status", json!(code)),
         };
         let seconds = (self.ran.as_secs_f64() * 1000.0).round() / 1000.0;
-        vec![
-            ended,
-            ("seconds", json!(seconds)),
-            ("restarts", json!(restarts)),
-        ]
+        let restarts = (restarts > 0).then(|| ("restarts", json!(restarts)));
+        [ended, ("seconds", json!(seconds))]
+            .into_iter()
+            .chain(restarts)
+            .collect()
     }
 
     /// Returns the text of the alert: how it has ended, and the last line that it wrote to the standard error.

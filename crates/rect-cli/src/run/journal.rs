@@ -6,7 +6,10 @@ use std::{
 };
 
 use rect::{Level, LogLine, Name, ProgramLog, Robot};
-use rect_core::clock::unix::ms_since_1970;
+use rect_core::{
+    alert::{self, Alert},
+    clock::unix::ms_since_1970,
+};
 use tokio::{task::JoinHandle, time::timeout};
 
 use crate::session::JoinArguments;
@@ -178,7 +181,19 @@ async fn connect(shared: Arc<Shared>, join: JoinArguments) {
 async fn give_alert(robot: &Robot, program: &Name, text: Option<String>) {
     let name = format!("{program} stopped");
     let given = match text {
-        Some(text) => robot.alert_named(&name, Level::Error, &text).await,
+        Some(text) => {
+            // As that of the program, and not of this command.
+            let alert = Alert {
+                text,
+                level: Level::Error,
+                at: ms_since_1970(SystemTime::now()),
+                program: program.to_string(),
+            };
+            match alert::topic(&name) {
+                Ok(topic) => robot.retained().publish(topic, alert.write()).await,
+                Err(error) => Err(error.into()),
+            }
+        }
         None => robot.clear_alert(&name).await,
     };
     if let Err(error) = given {

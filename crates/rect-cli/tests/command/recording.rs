@@ -567,6 +567,16 @@ fn lines_and_alerts_are_recorded_and_lines_are_not_replayed() {
     });
     robot.log_private(LogLine::new(5, Level::Error, "password"));
     robot.alert(Level::Warn, "battery low").expect("raised");
+    let alerts = |recording: &str| {
+        let (entries, _) = read(&folder.path().join(recording));
+        let alerts = entries
+            .iter()
+            .filter(|entry| entry.topic == "a/alerts/battery-low");
+        alerts.map(|entry| entry.retained).collect::<Vec<_>>()
+    };
+    wait_until("the alert is recorded", || {
+        !alerts("without.segments").is_empty() && !alerts("with.segments").is_empty()
+    });
     robot.clear_alert("battery low").expect("cleared");
     robot.log(Level::Info, "last");
     wait_until("all lines are recorded", || {
@@ -601,13 +611,8 @@ fn lines_and_alerts_are_recorded_and_lines_are_not_replayed() {
         "{}",
         info("with.mcap")
     );
-    let (entries, _) = read(&folder.path().join("without.mcap"));
-    let alerts = entries
-        .iter()
-        .filter(|entry| entry.topic == "a/alerts/battery-low");
-    let alerts: Vec<_> = alerts.map(|entry| entry.retained).collect();
     assert_eq!(
-        alerts,
+        alerts("without.mcap"),
         [Some(RetainedKind::Value), Some(RetainedKind::Forgotten)]
     );
     let replayed = ran(folder.path(), &["replay", "with.mcap", "--dry-run"]);

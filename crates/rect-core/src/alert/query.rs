@@ -1,5 +1,8 @@
 //! Drives the question for the alerts of robots.
-use std::time::{Duration, Instant};
+use std::{
+    cmp::Reverse,
+    time::{Duration, Instant},
+};
 
 use serde_json::json;
 
@@ -39,6 +42,14 @@ impl RobotAlert {
             alert: Alert::read(&message.topic, &message.payload)?,
             retained,
         })
+    }
+
+    /// Sorts alerts: those of each robot together, the most important ones first, and then the oldest ones.
+    pub fn sort(alerts: &mut [Self]) {
+        alerts.sort_by_key(|one| {
+            let (level, age) = (Reverse(one.alert.level), Reverse(one.retained.age));
+            (one.robot.clone(), level, age)
+        });
     }
 
     /// Returns the alert as a document for programs.
@@ -128,11 +139,7 @@ impl Driver for AlertsQuery {
         }
         if self.is_finished {
             let mut found = std::mem::take(&mut self.found);
-            // The most important ones first, then the oldest ones.
-            found.sort_by_key(|one| {
-                let age = std::cmp::Reverse(one.retained.age);
-                (one.robot.clone(), std::cmp::Reverse(one.alert.level), age)
-            });
+            RobotAlert::sort(&mut found);
             return Step::Finished(Some(found));
         }
         if std::mem::replace(&mut self.is_asked, true) {

@@ -195,7 +195,7 @@ impl StateKeeper {
         topics.collect()
     }
 
-    /// Returns the alerts of this robot, in the order of their names.
+    /// Returns the alerts of this robot, the most important ones first.
     pub fn alerts(&self, now: Instant) -> Vec<RobotAlert> {
         let own = &self.place.robot;
         let values = self
@@ -203,9 +203,10 @@ impl StateKeeper {
             .of(own)
             .map(|(key, entry)| entry.value(key, own, now));
         let messages = values.map(|value| value.message(own.clone()));
-        messages
-            .filter_map(|message| RobotAlert::of(&message))
-            .collect()
+        let alerts = messages.filter_map(|message| RobotAlert::of(&message));
+        let mut alerts: Vec<_> = alerts.collect();
+        RobotAlert::sort(&mut alerts);
+        alerts
     }
 
     /// Handles that bytes could not be written to disk, or were.
