@@ -455,7 +455,7 @@ def compression() -> dict[str, object]:
     continued = [several(batch) for batch in batches]
     plain = b"\x04"
     changed_head = changed(damaged(batches[0]), 1, b"\x07")
-    # What arrives, and the batch; none if it ends the link.
+    # The bytes that arrive, and their batch; none if they end the link.
     streams: list[tuple[str, list[tuple[bytes, bytes | None]]]] = [
         ("a stream", list(zip(continued, batches, strict=True))),
         ("batches that are not compressed", [(continued[0], batches[0]), (plain, plain), (continued[1], batches[1])]),

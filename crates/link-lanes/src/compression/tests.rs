@@ -124,7 +124,7 @@ fn batch_over_the_limit_is_rejected_however_small_it_was_sent() {
 #[derive(Deserialize)]
 struct Case {
     case: String,
-    /// What the peer sends, and each batch; `null` if it ends the link.
+    /// The bytes that the peer sends, and their batch; `null` if they end the link.
     parts: Vec<(String, Option<String>)>,
 }
 
