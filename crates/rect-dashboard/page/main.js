@@ -2,7 +2,6 @@
 
 import { alertCount } from "./alerts.js";
 import { cameras } from "./cameras.js";
-import { connections } from "./connections.js";
 import { h, setText } from "./dom.js";
 import { embedded } from "./embedded.js";
 import { events } from "./events.js";
@@ -15,12 +14,12 @@ import { topics } from "./topics.js";
 
 const VIEWS = {
   fleet,
-  log: later(() => import("./log.js").then(({ log }) => log)),
+  log: later(() => import("./log.js").then((view) => view.log)),
   topics,
   services,
-  parameters: later(() => import("./parameters.js").then(({ parameters }) => parameters)),
+  parameters: later(() => import("./parameters.js").then((view) => view.parameters)),
   cameras,
-  connections,
+  connections: later(() => import("./connections.js").then((view) => view.connections)),
   events,
 };
 const NAMES = {
