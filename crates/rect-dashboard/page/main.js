@@ -44,12 +44,12 @@ let shownReadOnly;
 
 /** Returns a view that is loaded once it is opened, so that the page stays small. */
 function later(load) {
-  return (to, parent) => {
+  return (to, parent, inform) => {
     let close = null;
     let isClosed = false;
     load().then(
       (view) => {
-        close = isClosed ? null : view(to, parent);
+        close = isClosed ? null : view(to, parent, inform);
       },
       () => parent.append(h("p", { class: "empty" }, "The view cannot be loaded: is the dashboard still running?")),
     );
