@@ -96,7 +96,7 @@ impl World {
             match self.keeper.poll(self.now) {
                 Step::Act(Action::PutOnce { key, payload, .. }) if self.is_linked => {
                     let sample = sample(&key, payload);
-                    self.to_reader(Event::Sample { id: Id(0), sample });
+                    self.deliver(Event::Sample { id: Id(0), sample });
                 }
                 Step::Act(Action::Declare { id, declaration }) => {
                     if let Declaration::Publisher { key, .. } = declaration {
@@ -153,14 +153,14 @@ impl World {
                 } = action
                 {
                     let reply = Ok(sample(&key, payload));
-                    self.to_reader(Event::Reply { id, reply });
+                    self.deliver(Event::Reply { id, reply });
                 }
             }
         }
-        self.to_reader(Event::Ended { id });
+        self.deliver(Event::Ended { id });
     }
 
-    fn to_reader(&mut self, event: Event) {
+    fn deliver(&mut self, event: Event) {
         let reaction = self.reader.on_event(self.now, event);
         self.items.extend(reaction.items);
     }
