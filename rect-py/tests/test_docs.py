@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import rect
 from conftest import DEADLINE, free_port
 from programs import Tool, program
 
@@ -162,6 +163,19 @@ def test_state(simulation: None, tmp_path: Path) -> None:
         two.tool.until("wombat-1: none, for 0 s")
 
 
-@pytest.mark.parametrize("name", ["hello", "telemetry", "teleoperation", "camera", "transfer", "request", "state"])
+def test_log(simulation: None, tmp_path: Path) -> None:
+    with Example("log", "wombat-1", folder=tmp_path) as one:
+        assert one.process.wait(DEADLINE) == 0
+    with rect.connect("wombat-1") as robot:
+        # Without a name, the program of an example has that of its script.
+        lines = [(line.text, line.level, line.fields) for line in robot.logs("wombat-1", program="main")]
+        assert lines == [("ready", "info", {}), ("the gripper is slow", "warn", {"angle": 12.5})]
+        assert [alert.text for alert in robot.alerts()] == ["battery low"]
+        robot.clear_alert("battery low")
+
+
+@pytest.mark.parametrize(
+    "name", ["hello", "telemetry", "teleoperation", "camera", "transfer", "request", "state", "log"]
+)
 def test_example_is_short(name: str) -> None:
     assert len((_EXAMPLES / name / "main.py").read_text().splitlines()) < 40
