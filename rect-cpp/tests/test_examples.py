@@ -100,8 +100,8 @@ def test_state(name: str, build: Path, own_router: None, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("name", ["log", "log_c"])
-def test_log(name: str, examples: Path, tmp_path: Path) -> None:
-    with Example(examples / name, "wombat-1", folder=tmp_path) as log:
+def test_log(name: str, build: Path, own_router: None, tmp_path: Path) -> None:
+    with Example(build / "examples" / name, "wombat-1", folder=tmp_path) as log:
         log.until_end()
 
 
