@@ -1,5 +1,4 @@
-//! Exposes the log: the lines of a program on their way to its router, the reading of logs, the log of a program without a router, and
-//! alerts.
+//! Exposes the log: the lines that a program gives to its router, the reading of logs, the log of a program without a router, and alerts.
 use std::{
     collections::BTreeMap,
     sync::{Arc, Mutex},
@@ -107,7 +106,7 @@ impl LogOutbox {
 /// Raises `OptionError` and `InvalidNameError`.
 #[pyfunction]
 #[pyo3(signature = (key_space, robot, program, level, last, follow, timeout_s))]
-#[allow(clippy::too_many_arguments)] // What is read.
+#[allow(clippy::too_many_arguments)] // The selected lines.
 pub fn log_reader(
     py: Python<'_>,
     key_space: &KeySpace,

@@ -27,7 +27,7 @@ class Alert:
     robot: str
     #: Name of the alert, with which it is cleared.
     name: str
-    #: What is wrong.
+    #: The text, which says what is wrong.
     text: str
     #: How important it is.
     level: Level

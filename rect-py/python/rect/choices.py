@@ -23,8 +23,8 @@ PixelFormat = Literal["grey8", "rgb8", "rgba8"]
 """The channels of a picture's pixels, one byte each."""
 
 Level = Literal["debug", "info", "warn", "error"]
-"""How important a line of a log, or an alert, is: `debug` is for whoever looks for a fault in the program, `info` is
-what happens, `warn` is something that somebody should look at, and `error` is something that has failed."""
+"""How important a line of a log, or an alert, is: `debug` helps to find a fault in the program, `info` reports
+normal events, `warn` is something that somebody should look at, and `error` is something that has failed."""
 
 EventKind = Literal[
     "peer_up",

@@ -30,7 +30,7 @@ _LOG = logging.getLogger("rect")
 
 
 class ProgramLog:
-    """The lines of this program on their way to the router. Its driver runs on a thread, from the first line on."""
+    """The lines of this program that the router does not have yet. Their driver runs from the first line on."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
