@@ -143,7 +143,7 @@ typedef enum rect_event_kind {
     RECT_EVENT_KIND_PROGRAM_DOWN = 8,
 } rect_event_kind;
 
-// What a `rect_log_item` reports.
+// The kind of a `rect_log_item`.
 typedef enum rect_log_item_kind {
     // Lines of a robot, or the fact that it has answered and has none.
     RECT_LOG_ITEM_KIND_LINES = 0,
@@ -246,9 +246,9 @@ typedef enum rect_confirmation {
 
 // How important a line of a log, or an alert, is.
 typedef enum rect_level {
-    // For whoever looks for a fault in the program.
+    // Details for finding a fault in the program.
     RECT_LEVEL_DEBUG = 0,
-    // What happens.
+    // The usual course of the program.
     RECT_LEVEL_INFO = 1,
     // Something that somebody should look at.
     RECT_LEVEL_WARN = 2,
@@ -637,11 +637,11 @@ typedef struct rect_kept_line {
     struct rect_text source;
 } rect_kept_line;
 
-// What `rect_logs_next` returns. Release it with `rect_drop(&item.id, ..)`.
+// Lines of a log, or news of the reading, from `rect_logs_next`. Release it with `rect_drop(&item.id, ..)`.
 typedef struct rect_log_item {
     // The handle.
     uint64_t id;
-    // What it reports.
+    // The kind.
     enum rect_log_item_kind kind;
     // The robot; empty for `RECT_LOG_ITEM_KIND_COMPLETE`.
     struct rect_text robot;
@@ -1442,7 +1442,7 @@ enum rect_code rect_robot_log_line(struct rect_robot robot,
 // Reads the log of the robot `name`, or of all robots (`*`), and writes the handle to `logs`. `rect_logs_next` returns the last lines,
 // newest ones first in parts, and with `options.follow` new ones. `options` may be NULL.
 //
-// Returns `RECT_CODE_NAME` if a name is invalid. A robot that does not answer is no error: no item names it. May be called on any thread.
+// Returns `RECT_CODE_NAME` if a name is invalid. No item names a robot that does not answer. May be called on any thread.
 enum rect_code rect_robot_logs(struct rect_robot robot,
                                const char *name,
                                const struct rect_log_options *options,

@@ -20,9 +20,9 @@ use crate::{
 /// How important a line of a log, or an alert, is.
 #[repr(C)]
 pub enum Level {
-    /// For whoever looks for a fault in the program.
+    /// Details for finding a fault in the program.
     Debug = 0,
-    /// What happens.
+    /// The usual course of the program.
     Info = 1,
     /// Something that somebody should look at.
     Warn = 2,

@@ -61,7 +61,7 @@ pub struct KeptLine {
     pub source: Text,
 }
 
-/// What a `rect_log_item` reports.
+/// The kind of a `rect_log_item`.
 #[repr(C)]
 #[derive(Clone, Copy)]
 pub enum LogItemKind {
@@ -73,12 +73,12 @@ pub enum LogItemKind {
     Missed = 2,
 }
 
-/// What `rect_logs_next` returns. Release it with `rect_drop(&item.id, ..)`.
+/// Lines of a log, or news of the reading, from `rect_logs_next`. Release it with `rect_drop(&item.id, ..)`.
 #[repr(C)]
 pub struct LogItem {
     /// The handle.
     pub id: u64,
-    /// What it reports.
+    /// The kind.
     pub kind: LogItemKind,
     /// The robot; empty for `RECT_LOG_ITEM_KIND_COMPLETE`.
     pub robot: Text,
@@ -142,7 +142,7 @@ impl LogOptions {
 /// Reads the log of the robot `name`, or of all robots (`*`), and writes the handle to `logs`. `rect_logs_next` returns the last lines,
 /// newest ones first in parts, and with `options.follow` new ones. `options` may be NULL.
 ///
-/// Returns `RECT_CODE_NAME` if a name is invalid. A robot that does not answer is no error: no item names it. May be called on any thread.
+/// Returns `RECT_CODE_NAME` if a name is invalid. No item names a robot that does not answer. May be called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_logs(
     robot: RobotHandle,

@@ -19,9 +19,9 @@ inline namespace RECT_ABI {
 
 /// How important a line of a log, or an alert, is.
 enum class Level : std::uint32_t {
-    /// For whoever looks for a fault in the program.
+    /// Details for finding a fault in the program.
     debug = RECT_LEVEL_DEBUG,
-    /// What happens.
+    /// The usual course of the program.
     info = RECT_LEVEL_INFO,
     /// Something that somebody should look at.
     warn = RECT_LEVEL_WARN,
@@ -85,9 +85,9 @@ struct KeptLine {
     std::string source;
 };
 
-/// What Logs::next returns.
+/// Lines of a log, or news of the reading, from Logs::next.
 struct LogItem {
-    /// What an item reports.
+    /// The kind of an item.
     enum class Kind {
         /// Lines of a robot, or the fact that it has answered and has none.
         lines = RECT_LOG_ITEM_KIND_LINES,
@@ -97,7 +97,7 @@ struct LogItem {
         missed = RECT_LOG_ITEM_KIND_MISSED,
     };
 
-    /// What it reports.
+    /// The kind.
     Kind kind;
     /// The robot; empty for Kind::complete.
     std::string robot;

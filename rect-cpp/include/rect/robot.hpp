@@ -703,7 +703,7 @@ public:
     }
 
     /// Reads the log of the robot `robot`, or of all robots (`*`): the last lines, newest ones first in parts, and with
-    /// LogOptions::follow new ones. Fails with Code::name if a name is invalid. A robot that does not answer is no error: no item names it.
+    /// LogOptions::follow new ones. Fails with Code::name if a name is invalid. No item names a robot that does not answer.
     [[nodiscard]] expected<Logs> logs(const Text& robot, const LogOptions& options = {}) const {
         rect_log_options raw_options{};
         raw_options.program = detail::or_null(options.program);
