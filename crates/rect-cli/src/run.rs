@@ -1,14 +1,16 @@
 //! Implements `rect run`, which runs a program and keeps what it writes, and why it ended.
+mod end;
 mod journal;
+mod kept_output;
 mod output;
 mod restart;
 
 use std::{
-    io::{IsTerminal, Write},
+    io::IsTerminal,
     os::unix::process::ExitStatusExt,
     path::Path,
-    process::{ExitCode, ExitStatus, Stdio},
-    sync::{Arc, Mutex, PoisonError},
+    process::{ExitCode, Stdio},
+    sync::Arc,
     time::{Duration, Instant},
 };
 
@@ -22,16 +24,14 @@ use rect_core::{
 use rustix::process::{kill_process, Pid, Signal};
 use serde_json::json;
 use tokio::{
-    io::{AsyncRead, AsyncReadExt},
     process::{Child, Command},
     signal::unix::{signal, SignalKind},
-    task::JoinHandle,
-    time::timeout,
 };
 
 use self::{
+    end::End,
     journal::Journal,
-    output::Lines,
+    kept_output::{pass_on, KeptOutput, Stream},
     restart::{Pauses, Restart, SOUND_AFTER},
 };
 use crate::{
@@ -42,12 +42,6 @@ use crate::{
 
 /// How long the output of a program is read after its end. Programs that it has left behind may hold it open.
 const OUTPUT_AFTER_END: Duration = Duration::from_millis(500);
-/// How soon the lines of a stack trace follow one another.
-const TOGETHER: Duration = Duration::from_millis(50);
-/// The maximum number of bytes that are read at once.
-const READ: usize = 16 << 10;
-/// The maximum length of the reason in an alert, in characters.
-const MAX_REASON: usize = 120;
 const EXAMPLE: &str = "\
 Examples:
   rect run -- python3 arm.py                        # the output stays on the terminal, and `rect log` shows it on the laptop
@@ -84,17 +78,6 @@ pub struct RunArguments {
     /// The program and its arguments
     #[arg(trailing_var_arg = true, required = true, value_name = "COMMAND")]
     command: Vec<String>,
-}
-
-/// How a run of the program has ended.
-struct End {
-    status: ExitStatus,
-    ran: Duration,
-    /// Somebody has asked for it.
-    is_asked: bool,
-    /// Programs that it has left behind still have its output.
-    has_left_programs: bool,
-    last_error: String,
 }
 
 /// Runs `rect run`.
@@ -242,27 +225,13 @@ async fn until_end(
     grace: Duration,
 ) -> Result<End, Failure> {
     let began = Instant::now();
-    let last_error = Arc::new(Mutex::new(String::new()));
-    let keep = |stream, level| Keep {
-        journal: Arc::clone(journal),
-        stream,
-        level,
-        last: Arc::clone(&last_error),
-    };
+    let kept = Arc::new(KeptOutput::new(journal));
     let mut reading = Vec::new();
     if let Some(output) = child.stdout.take() {
-        reading.push(pass_on(
-            output,
-            std::io::stdout(),
-            keep("stdout", Level::Info),
-        ));
+        reading.push(pass_on(output, std::io::stdout(), &kept, Stream::Output));
     }
     if let Some(output) = child.stderr.take() {
-        reading.push(pass_on(
-            output,
-            std::io::stderr(),
-            keep("stderr", Level::Warn),
-        ));
+        reading.push(pass_on(output, std::io::stderr(), &kept, Stream::Errors));
     }
     let sound = tokio::time::sleep(SOUND_AFTER);
     tokio::pin!(sound);
@@ -309,8 +278,7 @@ async fn until_end(
             task.abort();
         }
     }
-    let last_error =
-        std::mem::take(&mut *last_error.lock().unwrap_or_else(PoisonError::into_inner));
+    let last_error = kept.last_error();
     Ok(End {
         status,
         ran,
@@ -322,132 +290,4 @@ async fn until_end(
 
 fn pid(child: &Child) -> Option<Pid> {
     Pid::from_raw(i32::try_from(child.id()?).ok()?)
-}
-
-/// Where the lines of an output go.
-struct Keep {
-    journal: Arc<Journal>,
-    stream: &'static str,
-    level: Level,
-    last: Arc<Mutex<String>>,
-}
-
-impl Keep {
-    fn keep(&self, texts: Vec<String>) {
-        for text in texts {
-            if self.level == Level::Warn {
-                let mut last = self.last.lock().unwrap_or_else(PoisonError::into_inner);
-                text.clone_into(&mut last);
-            }
-            self.journal.output(self.stream, self.level, text);
-        }
-    }
-}
-
-/// Passes the output of a program on, on a task, and keeps its lines. The program never waits for a terminal that has been closed.
-fn pass_on(
-    mut from: impl AsyncRead + Unpin + Send + 'static,
-    mut to: impl Write + Send + 'static,
-    keep: Keep,
-) -> JoinHandle<()> {
-    tokio::spawn(async move {
-        let mut lines = Lines::default();
-        let mut buffer = vec![0; READ];
-        let mut is_open = true;
-        loop {
-            let read = from.read(&mut buffer);
-            let read = if lines.is_waiting() {
-                match timeout(TOGETHER, read).await {
-                    Ok(read) => read,
-                    Err(_) => {
-                        keep.keep(lines.settle());
-                        continue;
-                    }
-                }
-            } else {
-                read.await
-            };
-            let Ok(count @ 1..) = read else { break };
-            let bytes = &buffer[..count];
-            is_open = is_open && to.write_all(bytes).and_then(|()| to.flush()).is_ok();
-            keep.keep(lines.add(bytes));
-        }
-        keep.keep(lines.finish());
-    })
-}
-
-impl End {
-    fn has_failed(&self) -> bool {
-        !self.status.success() && !self.is_asked
-    }
-
-    /// Says how the program has ended, such as `failed after 12 s with exit status 1`.
-    fn text(&self) -> String {
-        let ran = humanize::duration(self.ran);
-        match (self.status.signal(), self.status.code()) {
-            (Some(signal), _) => format!("was ended after {ran} by {}", signal_in_words(signal)),
-            (None, Some(0)) => format!("ended after {ran}"),
-            (None, code) => {
-                let code = code.unwrap_or_default();
-                format!("failed after {ran} with exit status {code}")
-            }
-        }
-    }
-
-    fn fields(&self, restarts: u64) -> Vec<(&'static str, serde_json::Value)> {
-        let ended = match (self.status.signal(), self.status.code()) {
-            (Some(signal), _) => ("signal", json!(signal)),
-            (None, code) => ("exit_status", json!(code)),
-        };
-        let seconds = (self.ran.as_secs_f64() * 1000.0).round() / 1000.0;
-        let restarts = (restarts > 0).then(|| ("restarts", json!(restarts)));
-        [ended, ("seconds", json!(seconds))]
-            .into_iter()
-            .chain(restarts)
-            .collect()
-    }
-
-    /// Returns the text of the alert: how it has ended, and the last line that it wrote to the standard error.
-    fn alert(&self, program: &Name, restarts: u64) -> String {
-        let reason = self.last_error.lines().last().unwrap_or_default().trim();
-        let reason: String = reason.chars().take(MAX_REASON).collect();
-        let mut text = format!("{program} {}", self.text());
-        if !reason.is_empty() {
-            text.push_str(": ");
-            text.push_str(&reason);
-        }
-        if restarts > 0 {
-            text.push_str(&format!(" (restarted {restarts} times)"));
-        }
-        text
-    }
-}
-
-/// Names a signal, with what it usually means.
-fn signal_in_words(number: i32) -> String {
-    let known = [
-        (
-            Signal::SEGV,
-            "SIGSEGV, an access to memory that it does not have",
-        ),
-        (Signal::ABORT, "SIGABRT: it has aborted itself"),
-        (
-            Signal::ILL,
-            "SIGILL: it was perhaps built for another processor",
-        ),
-        (Signal::BUS, "SIGBUS, a wrong access to memory"),
-        (Signal::FPE, "SIGFPE, such as a division by zero"),
-        (
-            Signal::KILL,
-            "SIGKILL: somebody has killed it, or the robot had no memory left",
-        ),
-        (Signal::TERM, "SIGTERM"),
-        (Signal::INT, "SIGINT"),
-        (Signal::HUP, "SIGHUP: its terminal was closed"),
-        (Signal::PIPE, "SIGPIPE: nobody reads its output"),
-    ];
-    let known = known
-        .into_iter()
-        .find(|(signal, _)| signal.as_raw() == number);
-    known.map_or_else(|| format!("signal {number}"), |(_, text)| text.to_owned())
 }
