@@ -57,7 +57,7 @@ from rect.errors import (
     ZenohError,
 )
 from rect.events import Counters, Event, Events
-from rect.log import LogHandler
+from rect.log_handler import LogHandler
 from rect.logs import LogLine, Logs
 from rect.message import Message, Retained
 from rect.parameter_types import Bool, Choice, Integer, Number, Numbers, Parameter, Text
