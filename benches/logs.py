@@ -111,7 +111,17 @@ def crash(near: str, far: str) -> float:
         script.write_text(CRASH)
         with laptop.logs("wombat-1", program="crash", follow=True, last=0) as logs:
             time.sleep(1)
-            command = [os.environ["RECT_TOOL"], "run", "--as", "wombat-1", "--router", near, "--", sys.executable, str(script)]
+            command = [
+                os.environ["RECT_TOOL"],
+                "run",
+                "--as",
+                "wombat-1",
+                "--router",
+                near,
+                "--",
+                sys.executable,
+                str(script),
+            ]
             with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as running:
                 assert running.stderr
                 for text in running.stderr:

@@ -1,5 +1,5 @@
-//! Reads what others send about logs, and gives it to a router and to a reader. What is kept and delivered has no control characters, and
-//! stays within the limits.
+//! Reads what others send about logs, and gives it to a router and to a reader. Lines that are kept and delivered have no
+//! control characters, and stay within the limits.
 use std::time::Instant;
 
 use rect_core::{

@@ -50,7 +50,7 @@ struct ListArguments {
 
 #[derive(Args)]
 struct RaiseArguments {
-    /// What is wrong
+    /// The problem, for people
     text: String,
     /// debug, info, warn or error
     #[arg(long, default_value = "warn")]

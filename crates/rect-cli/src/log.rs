@@ -170,7 +170,7 @@ fn progress(asked: &str) -> ProgressBar {
     progress
 }
 
-/// What was read so far.
+/// The lines and answers that have arrived.
 struct Reading {
     seen: Seen,
     answered: BTreeSet<Name>,

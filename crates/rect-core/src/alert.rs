@@ -21,7 +21,7 @@ const MAX_NAME: usize = 60;
 /// Something that is wrong with a robot.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Alert {
-    /// What is wrong.
+    /// The problem, for people.
     pub text: String,
     /// How important it is.
     #[serde(default)]
@@ -40,7 +40,7 @@ impl Alert {
         Payload::new(json, Encoding::JSON)
     }
 
-    /// Reads the value of a topic; `None` if it is no alert.
+    /// Reads the value of a topic; `None` if it is not an alert.
     pub fn read(topic: &Topic, payload: &Payload) -> Option<Self> {
         topic.as_str().strip_prefix(ALERTS)?;
         let alert: Self = serde_json::from_slice(&payload.bytes).ok()?;

@@ -37,7 +37,7 @@ pub struct Status {
     pub delayed_declarations: u64,
     /// Number of its connections.
     pub connections: Counts,
-    /// What is wrong with it (docs/how-to/why.md); left out if there is nothing.
+    /// The alerts of its programs (docs/how-to/why.md); left out if there are none.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub alerts: Vec<serde_json::Value>,
 }

@@ -1,4 +1,4 @@
-//! What this computer has seen of the logs of robots, for those that are silent now.
+//! The lines that this computer has seen of robots, for the time when they are silent.
 use std::{
     collections::BTreeMap,
     time::{Duration, SystemTime},
@@ -34,7 +34,7 @@ impl Seen {
         }
     }
 
-    /// Writes what was added. A disk that cannot be written is no reason not to show lines.
+    /// Writes what was added. If that fails, the lines are shown nevertheless.
     pub fn save(&mut self) {
         for log in self.logs.values_mut() {
             if let Err(error) = log.save() {

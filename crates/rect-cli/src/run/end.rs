@@ -1,4 +1,4 @@
-//! Says how a run of a program has ended.
+//! Describes how a run of a program has ended.
 use std::{os::unix::process::ExitStatusExt, process::ExitStatus, time::Duration};
 
 use rect::Name;
@@ -25,7 +25,7 @@ impl End {
         !self.status.success() && !self.is_asked
     }
 
-    /// Says how the program has ended, such as `failed after 12 s with exit status 1`.
+    /// Returns how the program has ended, in words: `failed after 12 s with exit status 1`.
     pub fn text(&self) -> String {
         let ran = humanize::duration(self.ran);
         match (self.status.signal(), self.status.code()) {

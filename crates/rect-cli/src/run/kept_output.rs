@@ -19,14 +19,14 @@ const TOGETHER: Duration = Duration::from_millis(50);
 /// The maximum number of bytes that are read at once.
 const READ: usize = 16 << 10;
 
-/// What a program writes.
+/// An output of a program.
 #[derive(Clone, Copy, PartialEq, Eq)]
 pub enum Stream {
     Output,
     Errors,
 }
 
-/// The output of a program on its way to the log, in the order in which it arrives.
+/// Gives the output of a program to its log, in the order in which it arrives.
 pub struct KeptOutput {
     journal: Arc<Journal>,
     streams: Mutex<Streams>,
@@ -65,7 +65,7 @@ impl KeptOutput {
         }
     }
 
-    /// Keeps bytes. What the other stream has written before them is complete.
+    /// Keeps bytes. The text that waits of the other stream is complete.
     fn add(&self, stream: Stream, bytes: &[u8]) {
         let mut streams = self.streams();
         let before = streams.of(stream.other()).settle();

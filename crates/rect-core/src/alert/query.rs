@@ -26,7 +26,7 @@ pub struct RobotAlert {
     pub robot: Name,
     /// The topic, whose end is the name of the alert.
     pub topic: Topic,
-    /// What is wrong.
+    /// The problem.
     pub alert: Alert,
     /// How long ago it was raised, and whether the program that raised it has ended.
     pub retained: Retained,

@@ -32,7 +32,7 @@ impl Batch {
     /// Reads a batch, whose lines are cleaned.
     ///
     /// # Errors
-    /// Says what is wrong with it.
+    /// Returns the reason.
     pub fn read(bytes: &[u8]) -> Result<Self, String> {
         if bytes.len() > MAX_BYTES {
             return Err(format!("a batch of lines has {MAX_BYTES} bytes at most"));

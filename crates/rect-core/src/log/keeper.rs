@@ -43,7 +43,7 @@ pub struct LogKeeper {
     newest: u64,
     /// Whether somebody follows the lines of each publisher.
     is_followed: [bool; PUBLISHERS],
-    /// What those who follow have not been sent yet.
+    /// The lines that those who follow have not been sent yet.
     pending: BTreeMap<String, Page>,
     actions: VecDeque<Action>,
     is_closed: bool,

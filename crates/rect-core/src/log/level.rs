@@ -9,9 +9,9 @@ use serde::{Deserialize, Serialize};
 )]
 #[serde(rename_all = "lowercase")]
 pub enum Level {
-    /// For whoever looks for a fault in the program.
+    /// Details, for finding a fault in the program.
     Debug,
-    /// What happens.
+    /// An event of usual operation.
     #[default]
     Info,
     /// Something that somebody should look at.

@@ -1,4 +1,4 @@
-//! Drives the lines of a program on their way to the router of its robot. It never blocks the program.
+//! Gives the lines of a program to the router of its robot, and never blocks the program.
 use std::{
     collections::VecDeque,
     time::{Duration, Instant},

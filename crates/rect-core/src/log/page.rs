@@ -91,7 +91,7 @@ impl Question {
     /// Reads a question. One without bytes asks for everything.
     ///
     /// # Errors
-    /// Says what is wrong with it.
+    /// Returns the reason.
     pub fn read(bytes: &[u8]) -> Result<Self, String> {
         if bytes.is_empty() {
             return Ok(Self::default());
@@ -118,7 +118,7 @@ impl Page {
     /// Reads a page, whose lines are cleaned, because nothing is known about the one who has sent it.
     ///
     /// # Errors
-    /// Says what is wrong with it.
+    /// Returns the reason.
     pub fn read(bytes: &[u8]) -> Result<Self, String> {
         let text = |error: &dyn std::fmt::Display| format!("lines that cannot be read: {error}");
         let decompressed;

@@ -45,7 +45,7 @@ pub struct Reading {
     pub timeout: Duration,
 }
 
-/// What a reader delivers.
+/// An item that a reader delivers.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Item {
     /// Lines of a robot, in order.
@@ -78,7 +78,7 @@ pub struct LogReader {
     is_closed: bool,
 }
 
-/// What is known of the log of one robot.
+/// The state of the log of one robot.
 #[derive(Debug, Default)]
 struct Source {
     run: u32,
@@ -86,8 +86,8 @@ struct Source {
     base: u64,
     /// The number of the last new line of each program.
     seen: BTreeMap<String, u64>,
-    /// How many older lines are still wanted.
-    wanted: usize,
+    /// How many older lines are still expected.
+    remaining: usize,
     /// New lines that wait until earlier ones have arrived.
     held: VecDeque<Kept>,
     /// Whether earlier ones were asked for.
@@ -95,7 +95,7 @@ struct Source {
     has_missed: bool,
 }
 
-/// What was asked, and of whom.
+/// A question, and the robot that was asked.
 #[derive(Clone, Debug)]
 enum Asked {
     /// All routers, or that of one robot.
@@ -188,7 +188,7 @@ impl LogReader {
                 let source = Source {
                     run: page.run,
                     base: page.at,
-                    wanted: self.reading.last,
+                    remaining: self.reading.last,
                     ..Source::default()
                 };
                 self.sources.insert(robot.clone(), source);
@@ -226,15 +226,15 @@ impl LogReader {
             return Vec::new();
         };
         let mut lines = page.lines;
-        let surplus = lines.len().saturating_sub(source.wanted);
+        let surplus = lines.len().saturating_sub(source.remaining);
         lines.drain(..surplus);
-        source.wanted -= lines.len();
-        let wanted = source.wanted;
-        if let (Some(first), true, 1..) = (lines.first(), page.more, wanted) {
+        source.remaining -= lines.len();
+        let remaining = source.remaining;
+        if let (Some(first), true, 1..) = (lines.first(), page.more, remaining) {
             let before = first.number;
             self.ask(
                 Asked::Older(robot.clone(), before),
-                wanted,
+                remaining,
                 None,
                 Some(before),
             );
