@@ -45,9 +45,9 @@ pub fn run(bytes: &[u8]) {
     let key = "rect/wombat-1/@rect/@log/debug/arm";
     let reply = Ok(sample(key));
     let mut items = reader
-        .on_event(now, Event::Reply { id: Id(1), reply })
+        .on_event(now, Event::Reply { id: Id(2), reply })
         .items;
-    let _ = reader.on_event(now, Event::Ended { id: Id(1) });
+    let _ = reader.on_event(now, Event::Ended { id: Id(2) });
     let new = Event::Sample {
         id: Id(0),
         sample: sample(key),

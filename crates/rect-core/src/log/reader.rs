@@ -13,6 +13,7 @@ use crate::{
     driver::{Action, Declaration, Driver, Event, Get, Id, Reaction, Sample, Step, Target},
     message::urgency::Urgency,
     name::{key::KeySpace, Name},
+    session::peers::tokens,
 };
 
 /// The maximum number of robots whose lines one reader follows.
@@ -23,8 +24,9 @@ const MAX_HELD: usize = 2000;
 const MAX_MISSED: usize = 200;
 
 const SUBSCRIBER: Id = Id(0);
+const TOKENS: Id = Id(1);
 /// The ids of questions follow this one.
-const FIRST: u64 = 1;
+const FIRST: u64 = 2;
 
 /// Which lines are read.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -92,14 +94,16 @@ struct Source {
     held: VecDeque<Kept>,
     /// Whether earlier ones were asked for.
     is_waiting: bool,
+    /// Whether the robot cannot be reached.
+    is_away: bool,
     has_missed: bool,
 }
 
 /// A question, and the robot that was asked.
 #[derive(Clone, Debug)]
 enum Asked {
-    /// All routers, or that of one robot.
-    First,
+    /// All routers (`None`), or that of a robot.
+    First(Option<Name>),
     /// The lines before a number.
     Older(Name, u64),
     /// The lines that were missed.
@@ -145,9 +149,15 @@ impl LogReader {
                 id: SUBSCRIBER,
                 declaration: Declaration::Subscriber { key },
             });
+            let key = tokens(&reader.place, reader.reading.robot.as_ref());
+            reader.actions.push_back(Action::Declare {
+                id: TOKENS,
+                declaration: Declaration::LivelinessSubscriber { key },
+            });
         }
         let last = reader.reading.last.min(MAX_LAST);
-        reader.ask(Asked::First, last, None, None);
+        let first = Asked::First(reader.reading.robot.clone());
+        reader.ask(first, last, None, None);
         reader
     }
 
@@ -159,7 +169,7 @@ impl LogReader {
         let id = Id(self.next);
         self.next += 1;
         let robot = match &asked {
-            Asked::First => self.reading.robot.as_ref(),
+            Asked::First(robot) => robot.as_ref(),
             Asked::Older(robot, _) | Asked::Missed(robot) => Some(robot),
         };
         let question = Question {
@@ -181,7 +191,7 @@ impl LogReader {
 
     fn on_page(&mut self, id: Id, robot: Name, page: Page) -> Vec<Item> {
         match self.asked.get(&id).cloned() {
-            Some(Asked::First) if !self.sources.contains_key(&robot) => {
+            Some(Asked::First(_)) if !self.sources.contains_key(&robot) => {
                 if self.sources.len() >= MAX_ROBOTS {
                     return Vec::new();
                 }
@@ -249,7 +259,10 @@ impl LogReader {
 
     /// Handles new lines of a program. If earlier ones are missing, it asks for them.
     fn on_new(&mut self, robot: &Name, page: Page) -> Vec<Item> {
-        let is_first_answered = !self.asked.values().any(|one| matches!(one, Asked::First));
+        let is_first_answered = !self
+            .asked
+            .values()
+            .any(|one| matches!(one, Asked::First(_)));
         let is_full = self.sources.len() >= MAX_ROBOTS;
         let is_known = self.sources.contains_key(robot);
         if !is_known && (!is_first_answered || is_full) {
@@ -283,11 +296,37 @@ impl LogReader {
         if is_missing {
             source.is_waiting = true;
             let asked = Asked::Missed(robot.clone());
-            let last = MAX_MISSED.max(self.reading.last.min(MAX_LAST));
-            self.ask(asked, last, Some(expected), Some(first));
+            self.ask(asked, self.missed(), Some(expected), Some(first));
             return Vec::new();
         }
         source.release(robot)
+    }
+
+    /// Handles that a robot can be reached, or not any more. If it has returned, it is asked for its lines since.
+    fn on_token(&mut self, robot: Name, is_gone: bool) {
+        let is_complete = self.is_complete;
+        match self.sources.get_mut(&robot) {
+            Some(source) if is_gone => source.is_away = true,
+            Some(source) => {
+                if std::mem::take(&mut source.is_away) && !source.is_waiting {
+                    source.is_waiting = true;
+                    let newest = source.newest();
+                    let asked = Asked::Missed(robot);
+                    self.ask(asked, self.missed(), Some(newest), None);
+                }
+            }
+            // It was not reachable at the beginning.
+            None if !is_gone && is_complete => {
+                let last = self.reading.last.min(MAX_LAST);
+                self.ask(Asked::First(Some(robot)), last, None, None);
+            }
+            None => {}
+        }
+    }
+
+    /// Returns how many lines are asked for that were missed.
+    fn missed(&self) -> usize {
+        MAX_MISSED.max(self.reading.last.min(MAX_LAST))
     }
 
     fn on_ended(&mut self, id: Id) -> Vec<Item> {
@@ -315,6 +354,12 @@ impl Source {
     /// Returns the number of the last line of a program that was delivered, or that is older than what is followed.
     fn expected(&self, program: &str) -> u64 {
         let seen = self.seen.get(program).copied();
+        seen.unwrap_or_default().max(self.base)
+    }
+
+    /// Returns the number of the last line that was delivered. Lines of a link arrive in their order.
+    fn newest(&self) -> u64 {
+        let seen = self.seen.values().copied().max();
         seen.unwrap_or_default().max(self.base)
     }
 
@@ -350,6 +395,12 @@ impl Driver for LogReader {
 
     fn on_event(&mut self, _now: Instant, event: Event) -> Reaction<Item> {
         let items = match event {
+            Event::Sample { id: TOKENS, sample } => {
+                if let Some(robot) = self.place.robot_of(&sample.key) {
+                    self.on_token(robot, sample.is_deleted);
+                }
+                Vec::new()
+            }
             Event::Sample { sample, .. } => match self.on_sample(&sample) {
                 Some((robot, page)) => self.on_new(&robot, page),
                 None => return Reaction::NONE,

@@ -108,7 +108,7 @@ impl World {
                     Step::Act(Action::Get { id, get }) => self.ask(id, get.payload),
                     Step::Act(Action::Declare { declaration, .. }) => {
                         let Declaration::Subscriber { key } = declaration else {
-                            panic!("{declaration:?}");
+                            continue;
                         };
                         let key = key
                             .replace("/*/@rect", "/wombat-1/@rect")
@@ -351,6 +351,56 @@ fn lines_that_were_published_during_a_cut_are_asked_for() {
         world.send(&mut outbox, false);
     }
     assert_eq!(world.texts(), ["one", "two", "three", "four"]);
+}
+
+#[test]
+fn lines_of_a_cut_are_asked_for_when_the_robot_returns() {
+    let mut world = World::new(follow());
+    world.run();
+    let mut outbox = outbox();
+    let token = |is_deleted| Event::Sample {
+        id: Id(1),
+        sample: Sample {
+            is_deleted,
+            ..sample(
+                "rect/wombat-1/@rect/alive/1",
+                Payload::new("", Encoding::BYTES),
+            )
+        },
+    };
+    world.deliver(token(false));
+    log(&mut outbox, &world, "one");
+    world.send(&mut outbox, false);
+    world.is_linked = false;
+    world.deliver(token(true));
+    log(&mut outbox, &world, "two");
+    world.send(&mut outbox, false);
+    world.is_linked = true;
+    world.deliver(token(false));
+    world.run();
+    assert_eq!(world.texts(), ["one", "two"]);
+}
+
+#[test]
+fn a_robot_that_comes_later_is_asked_for_its_last_lines() {
+    let mut world = World::new(follow());
+    world.is_linked = false;
+    world.run();
+    let mut outbox = outbox();
+    log(&mut outbox, &world, "one");
+    world.send(&mut outbox, false);
+    assert!(world.texts().is_empty());
+    world.is_linked = true;
+    let appeared = sample(
+        "rect/wombat-1/@rect/alive/1",
+        Payload::new("", Encoding::BYTES),
+    );
+    world.deliver(Event::Sample {
+        id: Id(1),
+        sample: appeared,
+    });
+    world.run();
+    assert_eq!(world.texts(), ["one"]);
 }
 
 #[test]

@@ -22,13 +22,12 @@ use super::{
     Position, GRACE, OF_PROGRAMS, STATE, TOKEN,
 };
 use crate::{
-    alert::query::RobotAlert,
     catalogue::token::{self, Token},
     driver::{
         Action, Answer, Declaration, Driver, Event, Id, QueryId, Reaction, RetainedReply, Sample,
         Step,
     },
-    message::{encoding::Encoding, payload::Payload, request::RequestHeader},
+    message::{encoding::Encoding, payload::Payload, request::RequestHeader, Message},
     name::{key::KeySpace, topic::Topic, Name},
     registry::topics::RetainedTopic,
 };
@@ -195,18 +194,14 @@ impl StateKeeper {
         topics.collect()
     }
 
-    /// Returns the alerts of this robot, the most important ones first.
-    pub fn alerts(&self, now: Instant) -> Vec<RobotAlert> {
+    /// Returns the last messages of the retained topics of this robot, in the order of their names.
+    pub fn messages(&self, now: Instant) -> Vec<Message> {
         let own = &self.place.robot;
         let values = self
             .store
             .of(own)
             .map(|(key, entry)| entry.value(key, own, now));
-        let messages = values.map(|value| value.message(own.clone()));
-        let alerts = messages.filter_map(|message| RobotAlert::of(&message));
-        let mut alerts: Vec<_> = alerts.collect();
-        RobotAlert::sort(&mut alerts);
-        alerts
+        values.map(|value| value.message(own.clone())).collect()
     }
 
     /// Handles that bytes could not be written to disk, or were.
