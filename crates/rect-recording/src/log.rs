@@ -1,15 +1,12 @@
 //! Decides how the lines that programs log are recorded, and shown in viewers: as `foxglove.Log`, which log panels show.
-use std::time::Duration;
-
 use rect_core::{
     log::{level::Level, line::Line, page::Kept},
-    message::urgency::Urgency,
     name::{key::OWN, Name},
 };
 use serde::Serialize;
 use serde_json::{Map, Value};
 
-use crate::{entry::Entry, recorder::Recorder, schema::Schema};
+use crate::schema::Schema;
 
 /// The subject of lines.
 pub const LOG: &str = "log";
@@ -97,29 +94,6 @@ pub fn missed(now_ms: u64) -> Kept {
         number: 0,
         program: "rect".to_owned(),
         line: Line::new(now_ms, Level::Warn, MISSED),
-    }
-}
-
-impl Recorder {
-    /// Records a line that a program of `robot` has logged.
-    pub fn on_line(&self, robot: &Name, kept: &Kept) {
-        self.add(entry(robot, kept, self.now()));
-    }
-
-    /// Records that lines of `robot` were missed.
-    pub fn on_missed_lines(&self, robot: &Name) {
-        let now = self.now();
-        let now_ms = u64::try_from(now.as_millis()).unwrap_or(u64::MAX);
-        self.add(entry(robot, &missed(now_ms), now));
-    }
-}
-
-/// Returns the entry of a line that arrived at a time.
-fn entry(robot: &Name, kept: &Kept, logged: Duration) -> Entry {
-    Entry {
-        urgency: Urgency::Bulk,
-        sent: Duration::from_millis(kept.line.at),
-        ..Entry::of_report(robot, LOG, message(kept), logged)
     }
 }
 

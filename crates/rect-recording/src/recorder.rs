@@ -1,4 +1,6 @@
 //! Writes messages to a recording on a thread of its own, because a disk may stand still for seconds.
+mod lines;
+
 use std::{
     io,
     path::PathBuf,

@@ -14,6 +14,7 @@ mod name_check;
 mod next_item;
 mod options;
 mod parameters;
+mod program_log;
 mod publication;
 mod publisher;
 mod querier;
@@ -49,11 +50,12 @@ pub use deadman::Deadman;
 pub use deadman::{DeadmanCall, DeadmanCalls};
 pub use events::Events;
 pub use gathered::{Gathered, Outcome};
-#[doc(hidden)]
-pub use log::KeptLog;
-pub use log::{LogLayer, LogOptions, Logs, ProgramLog};
+pub use log::{LogLayer, LogOptions, Logs};
 pub use options::{connect, Options};
 pub use parameters::{GroupOptions, ParameterField, ParameterGroup, ParameterOrder, Parameters};
+#[doc(hidden)]
+pub use program_log::KeptLog;
+pub use program_log::ProgramLog;
 pub use publisher::Publisher;
 #[cfg(feature = "recording")]
 pub use recorded::Recorded;

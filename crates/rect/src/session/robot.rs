@@ -30,7 +30,7 @@ use zenoh::{query::Query, Config, Session};
 use super::{
     decoder::Decoder,
     executor::{Executor, Running},
-    log::{KeptLog, ProgramLog},
+    program_log::{KeptLog, ProgramLog},
     publication::{Publication, Put},
     querier::Querier,
     recipients::Recipients,

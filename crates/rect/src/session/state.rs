@@ -214,9 +214,12 @@ impl KeptState {
         self.0.driver().has(topic)
     }
 
-    /// Returns the alerts of the robot.
+    /// Returns the alerts of the robot, the most important ones first.
     pub fn alerts(&self) -> Vec<RobotAlert> {
-        self.0.driver().alerts(Instant::now())
+        let messages = self.0.driver().messages(Instant::now());
+        let mut alerts: Vec<_> = messages.iter().filter_map(RobotAlert::of).collect();
+        RobotAlert::sort(&mut alerts);
+        alerts
     }
 
     /// Returns the topics that have a value, in the order of their names.
