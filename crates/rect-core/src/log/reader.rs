@@ -307,14 +307,14 @@ impl LogReader {
         let is_complete = self.is_complete;
         match self.sources.get_mut(&robot) {
             Some(source) if is_gone => source.is_away = true,
-            Some(source) => {
-                if std::mem::take(&mut source.is_away) && !source.is_waiting {
-                    source.is_waiting = true;
-                    let newest = source.newest();
-                    let asked = Asked::Missed(robot);
-                    self.ask(asked, self.missed(), Some(newest), None);
-                }
+            Some(source) if source.is_away && !source.is_waiting => {
+                source.is_away = false;
+                source.is_waiting = true;
+                let newest = source.newest();
+                let asked = Asked::Missed(robot);
+                self.ask(asked, self.missed(), Some(newest), None);
             }
+            Some(source) => source.is_away = false,
             // It was not reachable at the beginning.
             None if !is_gone && is_complete => {
                 let last = self.reading.last.min(MAX_LAST);
