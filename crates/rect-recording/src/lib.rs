@@ -14,6 +14,7 @@ pub mod file;
 pub mod inferred;
 pub mod key_frames;
 pub mod log;
+pub mod log_recorder;
 pub mod merge;
 pub mod pace;
 pub mod parts;

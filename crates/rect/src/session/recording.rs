@@ -1,20 +1,18 @@
 //! Records the messages that a program receives, with its events, the state of its router's links, the requests to its robot, and the
 //! lines that programs log.
 use std::{
-    collections::BTreeSet,
     path::PathBuf,
     sync::Arc,
     time::{Duration, Instant},
 };
 
 use rect_core::{
-    log::reader::Item,
     message::{encoding::Encoding, payload::Payload, urgency::Urgency},
-    name::{topic::Pattern, Name},
+    name::topic::Pattern,
 };
 use rect_recording::{
-    file, key_frames::KeyFrames, recorder::CAPACITY, report::LINKS_EVERY, Progress, Recorder,
-    Settings, Split,
+    file, key_frames::KeyFrames, log_recorder::LogRecorder, recorder::CAPACITY,
+    report::LINKS_EVERY, Progress, Recorder, Settings, Split,
 };
 use tokio::{
     task::JoinSet,
@@ -27,10 +25,11 @@ use zenoh::{
 };
 
 use super::{
-    log::{LogOptions, Logs},
+    executor::{Executor, Running},
     queries,
     recorded::RecordingQueries,
     robot::Robot,
+    shared::NoItems,
     Events, QueueOptions, Subscriber,
 };
 use crate::error::Error;
@@ -57,14 +56,15 @@ pub struct RobotRecorder {
     subscriber: Arc<Subscriber>,
     messages: JoinSet<()>,
     reports: JoinSet<()>,
+    logs: Vec<Running<LogRecorder>>,
     requests: Queryable<()>,
     queries: RecordingQueries,
 }
 
 impl Robot {
     /// Records messages to an MCAP file until [`finish`](RobotRecorder::finish) is called, with the events of this robot, the
-    /// requests to its services, the lines that programs log and, once a second, the state of its router's links. Of a stream, the frames of the
-    /// faster group of receivers are, and the sender of a video is asked for a key frame at the beginning and every 5 s.
+    /// requests to its services, the lines that programs log and, once a second, the state of its router's links. Of a stream, the
+    /// frames of the faster group of receivers are, and the sender of a video is asked for a key frame at the beginning and every 5 s.
     ///
     /// Recording never delays the program: what a slow or full disk does not take waits in 8 MB of memory, and is then dropped and
     /// counted, urgent messages last.
@@ -105,13 +105,15 @@ impl Robot {
         };
         let subscriber = Arc::new(self.select(place.recorded(&options.patterns), queue)?);
         let (mut messages, mut reports) = (JoinSet::new(), JoinSet::new());
-        if !options.without_logs {
-            for robot in robots_of(place.robot.as_str(), &options.patterns) {
-                let new = LogOptions::new().last(0).follow().without_private();
-                let logs = self.logs(&robot, new).await?;
-                reports.spawn(forward_lines(logs, recorder.clone()));
-            }
-        }
+        let logs = match options.without_logs {
+            true => Vec::new(),
+            false => LogRecorder::of_recording(place, &options.patterns, &recorder),
+        };
+        let logs = logs.into_iter().map(|log| {
+            let executor = Executor::new(&self.inner.session, log, NoItems);
+            executor.start(&self.inner.runtime)
+        });
+        let logs = logs.collect::<Result<_, _>>()?;
         messages.spawn(forward(subscriber.clone(), self.clone(), recorder.clone()));
         let events = self.events().await?;
         let events = forward_events(events, self.clone(), recorder.clone());
@@ -129,6 +131,7 @@ impl Robot {
             subscriber,
             messages,
             reports,
+            logs,
         })
     }
 }
@@ -163,6 +166,7 @@ impl RobotRecorder {
     /// If the future is dropped, recording has stopped, but there may be no single file yet: the folder of the
     /// recording remains, and `rect recording merge` makes a file of it.
     pub async fn finish(mut self) -> Result<(Vec<PathBuf>, Progress), Error> {
+        self.logs.clear();
         self.reports.shutdown().await;
         self.subscriber.close();
         // Until what has arrived is recorded.
@@ -190,33 +194,6 @@ async fn forward(subscriber: Arc<Subscriber>, robot: Robot, recorder: Arc<Record
             }
         }
         recorder.on_message(message);
-    }
-}
-
-/// Returns the robots whose messages are recorded, or `*`.
-fn robots_of(own: &str, patterns: &[Pattern]) -> BTreeSet<String> {
-    let named = |pattern: &Pattern| pattern.robot().map_or("*", Name::as_str).to_owned();
-    let robots: BTreeSet<_> = patterns.iter().map(named).collect();
-    if robots.is_empty() {
-        return BTreeSet::from([own.to_owned()]);
-    }
-    match robots.contains("*") {
-        true => BTreeSet::from(["*".to_owned()]),
-        false => robots,
-    }
-}
-
-async fn forward_lines(logs: Logs, recorder: Arc<Recorder>) {
-    while let Some(item) = logs.next().await {
-        match item {
-            Item::Lines { robot, lines, .. } => {
-                for kept in &lines {
-                    recorder.on_line(&robot, kept);
-                }
-            }
-            Item::Missed(robot) => recorder.on_missed_lines(&robot),
-            Item::Complete => {}
-        }
     }
 }
 
