@@ -9,7 +9,7 @@ use bytes::Bytes;
 use pyo3::{prelude::*, types::PyBytes};
 use rect_core::{
     message::{encoding::Encoding, payload::Payload, Message},
-    name::{key, Name},
+    name::{key, topic::Pattern, Name},
     registry::connection::Connection,
 };
 use rect_recording::{
@@ -17,13 +17,15 @@ use rect_recording::{
     answer::{self, Answer},
     file::about,
     key_frames::KeyFrames,
+    log_recorder::LogRecorder,
     report::EventReport,
     Entry, ReadError, Reader, RecorderError, Selection, Settings, Split,
 };
 
 use crate::{
+    clock::Clock,
     codec::{parts, Parts},
-    driver::lock,
+    driver::{lock, Driver},
     errors::{raised, OrRaise, Raised},
     key_space::{self, KeySpace},
     message::MessageMetadata,
@@ -35,6 +37,7 @@ pub struct Recorder {
     /// `None` once it has been stopped. It is locked for a moment only, because it may be locked while Python's lock is held.
     recorder: Mutex<Option<Arc<recording::Recorder>>>,
     place: key::KeySpace,
+    patterns: Vec<Pattern>,
     videos: Mutex<KeyFrames>,
 }
 
@@ -90,6 +93,7 @@ impl Recorder {
         Ok(Self {
             recorder: Mutex::new(Some(Arc::new(recorder.or_raise()?))),
             place: place.0.clone(),
+            patterns,
             videos: Mutex::new(KeyFrames::new(place.0.clone())),
         })
     }
@@ -111,6 +115,15 @@ impl Recorder {
             recorder.on_message(message);
         }
         request.map(|request| (request.key, request.bytes))
+    }
+
+    /// Returns the drivers that read the logs of the recorded robots, and record their lines.
+    fn logs(&self) -> Vec<Driver> {
+        let logs = self.recorder().map_or_else(Vec::new, |recorder| {
+            LogRecorder::of_recording(&self.place, &self.patterns, &recorder)
+        });
+        let drivers = logs.into_iter().map(|log| Driver::new(log, &Clock::new()));
+        drivers.collect()
     }
 
     /// Records an event that a program of `robot` has received.

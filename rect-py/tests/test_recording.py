@@ -25,7 +25,7 @@ import numpy
 import pytest
 import rect
 import zenoh
-from conftest import free_port, repeating, until
+from conftest import Pair, free_port, repeating, until
 from mcap.reader import make_reader
 from mcap.writer import Writer
 from mcap_protobuf.decoder import DecoderFactory
@@ -499,6 +499,52 @@ def test_what_a_robot_sends_and_is_sent_is_recorded_once(tmp_path: Path) -> None
     own = {("wombat-1", "pose", None), ("wombat-1", "grab", "wombat-2"), ("wombat-2", "drive", "wombat-1")}
     assert recorded(default) == own
     assert recorded(all_of_both) == own | {("wombat-2", "pose", None)}
+
+
+def test_lines_of_the_recorded_robots_are_recorded_unless_they_are_left_out(pair: Pair, tmp_path: Path) -> None:
+    one, _ = pair
+
+    def lines(recording: str) -> set[tuple[str, str]]:
+        """Returns the robots and texts of the lines of a recording that runs."""
+        reports = rect.Recording(tmp_path / f"{recording}.segments")._reports("log")
+        return {(robot, value["message"]) for robot, _, value, _ in reports}
+
+    numbers = itertools.count()
+
+    def until_recorded_lines(text: str, level: rect.Level) -> None:
+        def found() -> bool:
+            for robot in pair:
+                robot.log(text, level, fields={"n": next(numbers)})
+            time.sleep(0.02)
+            return ("wombat-1", text) in lines("own") and {("wombat-1", text), ("wombat-2", text)} <= lines("all")
+
+        until(found)
+
+    one.log("before")
+    with (
+        one.record(tmp_path / "own.mcap"),
+        one.record(tmp_path / "all.mcap", "wombat-1/**", "*/**"),
+        one.record(tmp_path / "none.mcap", "*/**", logs=False) as without,
+    ):
+        until_recorded_lines("begins", "info")
+        one.log("password", "error", private=True)
+        until_recorded_lines("too hot", "error")
+        one.publish("pose", 1)
+        until_recorded(without, 1)
+
+    def recorded(name: str) -> list[tuple[str, bytes]]:
+        read = messages(tmp_path / f"{name}.mcap")
+        logs = [(channel, message) for schema, channel, message in read if schema and schema.name == "foxglove.Log"]
+        return [(channel.topic, message.data) for channel, message in logs]
+
+    of_one, of_two = "wombat-1/@rect/log", "wombat-2/@rect/log"
+    assert {topic for topic, _ in recorded("own")} == {of_one}
+    assert {topic for topic, _ in recorded("all")} == {of_one, of_two}
+    assert recorded("none") == []
+    values = [json.loads(data) for _, data in recorded("all")]
+    assert {(value["message"], value["level"]) for value in values} == {("begins", 2), ("too hot", 4)}
+    counted = [value["fields"]["n"] for value in values]
+    assert len(set(counted)) == len(counted), "a line was recorded twice"
 
 
 def test_requests_are_recorded_at_the_service(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ import zenoh
 from rect import _rect, registry
 from rect.errors import Closed, NoService, PayloadError, RectError
 from rect.events import Event, Events
+from rect.executor import Executor
 from rect.message import Message, utc
 from rect.recording_queries import RecordingQueries
 from rect.subscriber import Subscriber, Subscription
@@ -46,12 +47,14 @@ class Recorder:
         keep: float | None,
         split_after: float | None,
         split_bytes: int | None,
+        logs: bool,
     ) -> None:
         place = session.key_space
         self._session = session
         self._recorder = _rect.Recorder(os.fspath(path), place, patterns, keep, split_after, split_bytes)
         self._counts = (0, 0)
         self._closing = threading.Event()
+        self._logs: list[Executor] = []
         try:
             inbound = _rect.Inbound.of_recorder(place, patterns)
             messages: Subscriber = Subscriber(
@@ -61,8 +64,11 @@ class Recorder:
                 Subscription(messages, self._add, "recorder"),
                 Subscription(Events(session), self._add_event, "events"),
             ]
+            if logs:
+                self._record_logs()
             self._queries = RecordingQueries(session, self._recorder)
         except BaseException:
+            self._end_logs()
             self._recorder.finish()
             raise
         if not session.is_direct:
@@ -77,6 +83,16 @@ class Recorder:
 
     def _add_event(self, event: Event) -> None:
         self._recorder.add_event(self._session.key_space.robot, dataclasses.astuple(event))
+
+    def _record_logs(self) -> None:
+        for driver in self._recorder.logs():
+            executor = Executor(self._session, driver)
+            self._logs.append(executor)
+            executor.start("rect logs")
+
+    def _end_logs(self) -> None:
+        for executor in self._logs:
+            executor.end()
 
     def _record_links(self) -> None:
         while not self._closing.is_set():
@@ -114,6 +130,7 @@ class Recorder:
         self._closing.set()
         for subscription in self._subscriptions:
             subscription.close()
+        self._end_logs()
         self._queries.close()
         self._counts = self._recorder.finish() or self._counts
 

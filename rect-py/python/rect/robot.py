@@ -1059,11 +1059,12 @@ class Robot:
         keep: float | None = None,
         split_after: float | None = None,
         split_bytes: int | None = None,
+        logs: bool = True,
     ) -> Recorder:
         """Records the messages that match the patterns to an MCAP file, until the returned `Recorder` is closed.
 
-        The events of this robot, the requests to its services and, once a second, the state of its router's links are
-        recorded, too.
+        The events of this robot, the requests to its services, the lines that programs log and, once a second, the
+        state of its router's links are recorded, too.
 
         - `path`: the file, such as `match.mcap`.
         - `patterns`: for example `wombat-1/arm/*`. Default: everything that this robot publishes, and everything that
@@ -1072,6 +1073,8 @@ class Robot:
         - `keep`: only about this many seconds of the past are kept. Default: everything.
         - `split_after`, `split_bytes`: the recording continues in another file, whose name has a number, after this
           many seconds, or when the file has that number of bytes. Default: never.
+        - `logs`: whether the lines that the programs of the recorded robots log are recorded. Those of other robots
+          travel over the links, in the background, only because they are recorded. Private lines never are.
 
         Raises `RecordingError` if there is a recording of that name or the folder cannot be written,
         `InvalidTopicError`, `OptionError` and `Closed`. Example:
@@ -1080,7 +1083,7 @@ class Robot:
                 drive()
         """
         self._session.check()
-        return Recorder(self._session, path, patterns, keep, split_after, split_bytes)
+        return Recorder(self._session, path, patterns, keep, split_after, split_bytes, bool(logs))
 
     def share_dictionary(self, dictionary: _rect.Dictionary) -> _rect.Codec:
         """Shares a dictionary with all robots, and returns the codec that compresses with it.
