@@ -779,6 +779,9 @@ typedef struct rect_record_options {
     uint64_t split_ms;
     // The size of a file in bytes at which the recording continues in another one. Default: any.
     uint64_t split_bytes;
+    // Leaves out the lines that the programs of the recorded robots log. Otherwise they are recorded, except private ones. Those of other
+    // robots travel over the links, in the background, only because they are recorded.
+    bool without_logs;
 } rect_record_options;
 
 // A recording that runs. `rect_drop(&recorder.id, ..)` without `rect_recorder_finish` leaves a folder, which `rect recording merge`
@@ -1766,8 +1769,8 @@ enum rect_code rect_publisher_wait_for_subscriber(struct rect_publisher publishe
                                                   struct rect_error *error);
 
 // Records messages to the file `path`, which ends in `.mcap`, until `rect_recorder_finish` is called, with the events of this robot,
-// the requests to its services and, once a second, the state of its router's links. Until then, the recording is a folder of short
-// files, so that a power cut costs at most its last seconds.
+// the requests to its services, the lines that programs log and, once a second, the state of its router's links. Until then, the
+// recording is a folder of short files, so that a power cut costs at most its last seconds.
 //
 // Recording never delays the program: what a slow or full disk does not take waits in 8 MB of memory, and is then dropped and
 // counted, urgent messages last.

@@ -36,6 +36,9 @@ pub struct RecordOptions {
     pub split_ms: u64,
     /// The size of a file in bytes at which the recording continues in another one. Default: any.
     pub split_bytes: u64,
+    /// Leaves out the lines that the programs of the recorded robots log. Otherwise they are recorded, except private ones. Those of other
+    /// robots travel over the links, in the background, only because they are recorded.
+    pub without_logs: bool,
 }
 
 /// How a recording goes.
@@ -77,8 +80,8 @@ impl OwnedRecorder {
 }
 
 /// Records messages to the file `path`, which ends in `.mcap`, until `rect_recorder_finish` is called, with the events of this robot,
-/// the requests to its services and, once a second, the state of its router's links. Until then, the recording is a folder of short
-/// files, so that a power cut costs at most its last seconds.
+/// the requests to its services, the lines that programs log and, once a second, the state of its router's links. Until then, the
+/// recording is a folder of short files, so that a power cut costs at most its last seconds.
 ///
 /// Recording never delays the program: what a slow or full disk does not take waits in 8 MB of memory, and is then dropped and
 /// counted, urgent messages last.
@@ -166,7 +169,7 @@ unsafe fn read(given: Option<&RecordOptions>) -> Result<LibraryOptions, Failure>
             after: some_ms(given.split_ms),
             bytes: (given.split_bytes > 0).then_some(given.split_bytes),
         },
-        without_logs: false,
+        without_logs: given.without_logs,
     })
 }
 

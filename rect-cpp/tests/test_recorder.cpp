@@ -1,11 +1,31 @@
 // Tests recordings: their files, their counts, and what is refused.
 //
 //     build/default/tests/rect_tests -# '[#test_recorder]'
+#include <algorithm>
 #include <filesystem>
 #include <fstream>
+#include <iterator>
+#include <thread>
 
 #include "folder.hpp"
 #include "pair.hpp"
+
+namespace {
+
+// Returns whether a file has lines of a log: it names their schema in its summary.
+bool has_lines(const std::filesystem::path& file) {
+    std::ifstream opened(file, std::ios::binary);
+    const std::string content{std::istreambuf_iterator<char>(opened), {}};
+    return content.find("foxglove.Log") != std::string::npos;
+}
+
+// Returns whether a complete file of a recording that runs has lines.
+bool has_recorded_lines(const std::filesystem::path& folder) {
+    const std::filesystem::directory_iterator files(folder);
+    return std::any_of(begin(files), end(files), [](const auto& file) { return has_lines(file.path()); });
+}
+
+}  // namespace
 
 TEST_CASE("a program records what its robot publishes") {
     Folder folder;
@@ -50,6 +70,25 @@ TEST_CASE("a recording selects messages, and is split") {
     CHECK(std::filesystem::exists(folder / "match-1.mcap"));
     CHECK(std::filesystem::exists(folder / "match-2.mcap"));
     CHECK_FALSE(std::filesystem::exists(folder / "match-3.mcap"));
+}
+
+TEST_CASE("lines are recorded unless they are left out") {
+    Folder folder;
+    Pair pair;
+    rect::RecordOptions options;
+    auto with = must(pair.one.record(folder / "with.mcap", options));
+    options.without_logs = true;
+    auto without = must(pair.one.record(folder / "without.mcap", options));
+    until([&] {
+        must(pair.one.publish("arm/angle", 12.5));
+        pair.one.log(rect::Level::warn, "the gripper is slow");
+        std::this_thread::sleep_for(retry_interval);
+        return has_recorded_lines(folder / "with.segments");
+    });
+    must(with.finish());
+    CHECK(must(without.finish()).recorded > 0);
+    CHECK(has_lines(folder / "with.mcap"));
+    CHECK_FALSE(has_lines(folder / "without.mcap"));
 }
 
 TEST_CASE("invalid recordings are refused") {

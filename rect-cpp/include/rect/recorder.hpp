@@ -26,6 +26,9 @@ struct RecordOptions {
     std::chrono::milliseconds split{0};
     /// The size of a file in bytes at which the recording continues in another one. Default: any.
     std::uint64_t split_bytes{0};
+    /// Leaves out the lines that the programs of the recorded robots log. Otherwise they are recorded, except private ones. Those of other
+    /// robots travel over the links, in the background, only because they are recorded.
+    bool without_logs{false};
 };
 
 /// How a recording goes.

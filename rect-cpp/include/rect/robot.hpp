@@ -173,8 +173,8 @@ public:
     }
 
     /// Records messages to the file `path`, which ends in `.mcap`, until Recorder::finish is called, with the events of this robot,
-    /// the requests to its services and, once a second, the state of its router's links. Until then, the recording is a folder of
-    /// short files, so that a power cut costs at most its last seconds.
+    /// the requests to its services, the lines that programs log and, once a second, the state of its router's links. Until then, the
+    /// recording is a folder of short files, so that a power cut costs at most its last seconds.
     ///
     /// Recording never delays the program: what a slow or full disk does not take waits in 8 MB of memory, and is then dropped and
     /// counted, urgent messages last.
@@ -189,6 +189,7 @@ public:
         raw.keep_ms = static_cast<std::uint64_t>(options.keep.count());
         raw.split_ms = static_cast<std::uint64_t>(options.split.count());
         raw.split_bytes = options.split_bytes;
+        raw.without_logs = options.without_logs;
         rect_recorder recorder;
         rect_error error;
         const auto code = rect_robot_record(this->raw(), path.c_str(), &raw, &recorder, &error);
