@@ -14,6 +14,7 @@ use nix::{
     sys::signal::{kill, Signal},
     unistd::Pid,
 };
+use rect::{blocking::Robot, Level, LogItem, LogOptions, Options, Payload};
 
 /// A running example, killed at the end of the test.
 struct Example {
@@ -237,4 +238,33 @@ fn a_late_program_receives_the_last_mode() {
     printing.wait_for("wombat-1: manual, for 0 s");
     assert_eq!(set("none"), Some(true));
     printing.wait_for("wombat-1: none, for 0 s");
+}
+
+#[test]
+fn lines_and_an_alert_stay_when_the_program_has_ended() {
+    let simulation = Simulation::start();
+    let folder = tempfile::tempdir().expect("a folder");
+    let log = Example::start("log", &["wombat-1"], &simulation.endpoint, folder.path());
+    let Some(mut log) = log else {
+        return;
+    };
+    assert!(log.child.wait().expect("our child").success());
+    let options = Options::new("wombat-1").expect("a name");
+    let reader = Robot::connect(options.router(&simulation.endpoint)).expect("joined");
+    let logs = reader
+        .logs("wombat-1", LogOptions::new())
+        .expect("a reader");
+    let lines: Vec<_> = logs
+        .flat_map(|item| match item {
+            LogItem::Lines { lines, .. } => lines,
+            _ => Vec::new(),
+        })
+        .map(|kept| (kept.line.level, kept.line.text))
+        .collect();
+    for expected in [(Level::Info, "ready"), (Level::Warn, "the gripper is slow")] {
+        let expected = (expected.0, expected.1.to_owned());
+        assert!(lines.contains(&expected), "{lines:?}");
+    }
+    let alert = reader.latest::<Payload>("wombat-1", "alerts/battery-low");
+    assert!(alert.expect("an answer").is_some());
 }
