@@ -303,7 +303,8 @@ impl StateKeeper {
         let tools = format!("{fleet}/{robot}/**");
         let advanced = format!("{fleet}/{robot}/**/@adv/**");
         let key = (self.place).own(Some(robot), &format!("{TOKEN}/{:08x}", self.run));
-        for (id, key) in [(OF_TOOLS, tools), (OF_ADVANCED, advanced)] {
+        // zenoh-ext asks only once. A tool that gets an answer from the other one can rely on this one.
+        for (id, key) in [(OF_ADVANCED, advanced), (OF_TOOLS, tools)] {
             let complete = false;
             self.declare(id, Declaration::Queryable { key, complete });
         }
