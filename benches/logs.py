@@ -1,5 +1,5 @@
-"""Logs over a TCP link slowed to the rate of Bluetooth: urgent messages beside a program that logs 10,000 lines a second, the last
-lines of a crash, and the memory of the router and of the program."""
+"""Logs over a TCP link slowed to the rate of Bluetooth: urgent messages beside a program that logs 10,000 lines a
+second, the last lines of a crash, and the memory of the program."""
 
 import os
 import statistics
@@ -36,7 +36,8 @@ with rect.connect("wombat-1", router=router, program="loud") as robot:
     while (passed := time.monotonic() - began) < for_s:
         while number < passed * per_s:
             called = time.perf_counter()
-            robot.log(f"line {number} of a loud program that reports its position ({number % 97}, {number % 89})", level="debug")
+            text = f"line {number} of a loud program that reports its position ({number % 97}, {number % 89})"
+            robot.log(text, level="debug")
             longest = max(longest, time.perf_counter() - called)
             number += 1
         time.sleep(0.001)
@@ -151,7 +152,7 @@ def run() -> Table:
         f"The longest call of `robot.log` in Python, and the program's private memory at the end: {cost}.",
         f"From the last line of a crash of 40 frames, under `rect run`, until the laptop has its end: "
         f"{statistics.median(times):.2f} s, at most {max(times):.2f} s ({CRASHES} times).",
-        f"Lines of about 90 bytes for {FOR_S:.0f} s, beside {URGENT_PER_S} urgent messages a second from the same robot. A follower gets "
-        "what the link carries, and learns that lines are missing; the router keeps the last 1,000.",
+        f"Lines of about 90 bytes for {FOR_S:.0f} s, beside {URGENT_PER_S} urgent messages a second of the robot. "
+        "A follower gets what the link carries, and learns that lines are missing; the router keeps the last 1,000.",
     ]
     return table

@@ -249,7 +249,7 @@ def test_log_is_read_only_while_it_is_shown(routers: Routers) -> None:
         robot.zenoh.put("rect/wombat-1/@rect/@set/log/arm", batch)
 
     with routers.connect("wombat-1") as robot, serving(routers) as address:
-        follower = robot.zenoh.declare_publisher("rect/wombat-1/@rect/@log/debug/arm")
+        follower: Any = robot.zenoh.declare_publisher("rect/wombat-1/@rect/@log/debug/arm")
         log("one", "two")
         with viewer(address) as shown:
             shown.until_offered(topic)
