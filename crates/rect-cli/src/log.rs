@@ -125,12 +125,13 @@ pub async fn run(arguments: LogArguments) -> Done {
         };
         match item {
             Some(LogItem::Complete) => {
+                let peers = own.peers().await?;
                 let mut silent = match &one {
                     Some(robot) => vec![robot.clone()],
-                    None => own.peers().await?,
+                    None => peers.clone(),
                 };
                 silent.retain(|robot| !reading.answered.contains(robot));
-                reading.print_history(&silent);
+                reading.print_history(&silent, &peers);
                 is_complete = silent.is_empty();
             }
             Some(item) => reading.on_item(item),
@@ -211,7 +212,7 @@ impl Reading {
     }
 
     /// Prints the lines before in order, and what this computer has seen of the robots that have not answered.
-    fn print_history(&mut self, silent: &[Name]) {
+    fn print_history(&mut self, silent: &[Name], reachable: &[Name]) {
         self.progress.finish_and_clear();
         self.is_history_printed = true;
         let mut history = std::mem::take(&mut self.history);
@@ -225,7 +226,7 @@ impl Reading {
             self.printer.print(robot, kept);
         }
         for robot in silent {
-            self.seen.print(robot, &self.printer);
+            self.seen.print(robot, reachable, &self.printer);
         }
     }
 }

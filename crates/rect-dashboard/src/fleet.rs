@@ -145,7 +145,6 @@ impl Observer {
                 // It is asked at once.
                 (record.reachable, record.asked) = (true, None);
                 record.silent_since_ms = None;
-                self.app.logs.on_return(robot);
             }
             Event::PeerDown { robot } => {
                 if let Some(record) = self.records.get_mut(robot) {

@@ -17,7 +17,6 @@ use rect_core::log::seen::SeenLine;
 use serde::Serialize;
 use tokio::{
     sync::mpsc::{unbounded_channel, UnboundedReceiver, UnboundedSender},
-    task::JoinSet,
     time::{interval, MissedTickBehavior},
 };
 
@@ -33,8 +32,6 @@ const LAST: usize = 200;
 const SAVED_EVERY: Duration = Duration::from_secs(5);
 /// The size of the remembered lines that a browser gets first, in bytes of their JSON.
 const REMEMBERED_BYTES: usize = 384 << 10;
-/// The number of robots that are asked again at the same time because they have returned.
-const MAX_ASKING: usize = 16;
 /// The name that stands for all robots.
 const ALL: &str = "*";
 
@@ -53,8 +50,6 @@ pub struct ShowingLog {
 enum Request {
     Show(u64, Browser),
     Hide(u64),
-    /// A robot is reachable again.
-    Returned(Name),
 }
 
 /// A browser that shows lines.
@@ -89,7 +84,6 @@ impl Logs {
             reading: None,
             remembered: None,
             answered: BTreeSet::new(),
-            asking: JoinSet::new(),
         };
         tokio::spawn(worker.run(received));
         Self {
@@ -110,11 +104,6 @@ impl Logs {
             requests: self.requests.clone(),
         }
     }
-
-    /// Handles that a robot is reachable again: its lines of the time before are read, if a browser shows them.
-    pub fn on_return(&self, robot: &Name) {
-        let _ = self.requests.send(Request::Returned(robot.clone()));
-    }
 }
 
 impl Drop for ShowingLog {
@@ -132,7 +121,6 @@ struct Worker {
     remembered: Option<Remembered>,
     /// The robots that have answered since the reading began.
     answered: BTreeSet<Name>,
-    asking: JoinSet<Vec<LogItem>>,
 }
 
 impl Worker {
@@ -149,11 +137,6 @@ impl Worker {
                     Some(item) => self.on_item(item),
                     None => break,
                 },
-                Some(Ok(items)) = self.asking.join_next() => {
-                    for item in items {
-                        self.on_item(item);
-                    }
-                }
                 _ = save.tick(), if !self.browsers.is_empty() => self.save().await,
             }
             self.adjust().await;
@@ -174,7 +157,6 @@ impl Worker {
             Request::Hide(key) => {
                 self.browsers.remove(&key);
             }
-            Request::Returned(robot) => self.ask_again(robot),
         }
     }
 
@@ -186,7 +168,6 @@ impl Worker {
             return;
         }
         self.reading = None;
-        self.asking.abort_all();
         self.answered.clear();
         let Some(level) = least else {
             self.save().await;
@@ -198,29 +179,6 @@ impl Worker {
             Ok(logs) => self.reading = Some((level, logs)),
             Err(error) => tracing::warn!("cannot read the logs of the robots: {error}"),
         }
-    }
-
-    /// Asks a robot whose lines are followed for those of the time when it was not reachable.
-    fn ask_again(&mut self, name: Name) {
-        let Some((level, _)) = &self.reading else {
-            return;
-        };
-        if self.asking.len() >= MAX_ASKING {
-            return;
-        }
-        let (robot, options) = (
-            self.robot.clone(),
-            LogOptions::new().level(*level).last(LAST).without_private(),
-        );
-        self.asking.spawn(async move {
-            let mut items = Vec::new();
-            if let Ok(logs) = robot.logs(name.as_str(), options).await {
-                while let Some(item) = logs.next().await {
-                    items.push(item);
-                }
-            }
-            items
-        });
     }
 
     fn on_item(&mut self, item: LogItem) {

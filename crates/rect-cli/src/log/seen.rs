@@ -8,6 +8,7 @@ use rect::{KeptLine, Name};
 use rect_core::{
     clock::unix::ms_since_1970,
     log::seen::{path, SeenLog},
+    session::names::reachable_robots,
     text::humanize::duration,
 };
 
@@ -46,12 +47,13 @@ impl Seen {
     }
 
     /// Prints what was seen of a robot that does not answer, and says so.
-    pub fn print(&mut self, robot: &Name, printer: &Printer) {
+    pub fn print(&mut self, robot: &Name, reachable: &[Name], printer: &Printer) {
         let now = ms_since_1970(SystemTime::now());
         let Some(log) = self.log(robot) else { return };
         let Some(last) = log.lines().map(|line| line.seen).max() else {
             rect_terminal::errln!(
-                "rect log: {robot} does not answer, and this computer has not seen any of its lines"
+                "rect log: {robot} does not answer, and this computer has not seen any of its lines; {}",
+                reachable_robots(robot, reachable)
             );
             return;
         };

@@ -261,6 +261,11 @@ fn the_lines_of_a_silent_robot_are_those_that_this_computer_has_seen() {
         errors.contains("a does not answer") && errors.contains("seen these lines before"),
         "{errors}"
     );
+    let unknown = text(&other.run(&["log", "c", "--timeout", "200ms"]).stderr);
+    assert!(
+        unknown.contains("has not seen any of its lines; reachable robots: "),
+        "{unknown}"
+    );
     let file = Path::new("rect/log/rect/a.jsonl");
     assert!(other.folder.path().join(file).is_file());
 }
