@@ -57,7 +57,11 @@ a(40)
 def urgent_ages(laptop: rect.Robot, robot: rect.Robot, for_s: float) -> list[float]:
     """Publishes urgent messages, and returns how long each took, in ms."""
     ages: list[float] = []
-    with laptop.subscribe("wombat-1/beat", lambda message: ages.append((time.monotonic() - message.value) * 1000)):
+
+    def on_beat(message: rect.Message) -> None:
+        ages.append((time.monotonic() - message.value) * 1000)
+
+    with laptop.subscribe("wombat-1/beat", callback=on_beat):
         time.sleep(0.5)
         until = time.monotonic() + for_s
         while time.monotonic() < until:
