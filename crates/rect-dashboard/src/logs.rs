@@ -148,8 +148,7 @@ impl Worker {
         match request {
             Request::Show(key, browser) => {
                 if self.remembered.is_none() {
-                    let (fleet, own) = (self.robot.fleet().clone(), self.robot.name().clone());
-                    self.remembered = Some(Remembered::load(fleet, own).await);
+                    self.remembered = Some(Remembered::load(self.robot.fleet().clone()).await);
                 }
                 self.show_remembered(&browser);
                 self.browsers.insert(key, browser);

@@ -1,13 +1,10 @@
 //! The lines that this computer has seen of robots, for the time when they are silent.
-use std::{
-    collections::BTreeMap,
-    time::{Duration, SystemTime},
-};
+use std::time::{Duration, SystemTime};
 
 use rect::{KeptLine, Name};
 use rect_core::{
     clock::unix::ms_since_1970,
-    log::seen::{path, SeenLog},
+    log::seen::{SeenLog, SeenLogs},
     session::names::reachable_robots,
     text::humanize::duration,
 };
@@ -15,17 +12,11 @@ use rect_core::{
 use super::print::Printer;
 
 /// The logs that this computer has seen.
-pub struct Seen {
-    fleet: Name,
-    logs: BTreeMap<Name, SeenLog>,
-}
+pub struct Seen(SeenLogs);
 
 impl Seen {
     pub fn of(fleet: &Name) -> Self {
-        Self {
-            fleet: fleet.clone(),
-            logs: BTreeMap::new(),
-        }
+        Self(SeenLogs::new(fleet, |name| std::env::var_os(name)))
     }
 
     /// Remembers lines.
@@ -37,12 +28,10 @@ impl Seen {
 
     /// Writes what was added. If that fails, the lines are shown nevertheless.
     pub fn save(&mut self) {
-        for log in self.logs.values_mut() {
-            if let Err(error) = log.save() {
-                tracing::warn!(
-                    "the lines are not remembered for the time when the robot is silent: {error}"
-                );
-            }
+        for (_, error) in self.0.save() {
+            tracing::warn!(
+                "the lines are not remembered for the time when the robot is silent: {error}"
+            );
         }
     }
 
@@ -67,13 +56,7 @@ impl Seen {
     }
 
     fn log(&mut self, robot: &Name) -> Option<&mut SeenLog> {
-        if !self.logs.contains_key(robot) {
-            let path = path(&self.fleet, robot, |name| std::env::var_os(name))?;
-            let log = SeenLog::open(&path).inspect_err(|error| {
-                tracing::warn!("{}: {error}", path.display());
-            });
-            self.logs.insert(robot.clone(), log.ok()?);
-        }
-        self.logs.get_mut(robot)
+        let log = self.0.of(robot);
+        log.inspect_err(|error| tracing::warn!("{error}")).ok()?
     }
 }

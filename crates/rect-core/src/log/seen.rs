@@ -1,8 +1,8 @@
 //! The lines of a robot that this computer has seen, for the time when the robot is silent: a file in JSON Lines.
 use std::{
-    collections::VecDeque,
+    collections::{BTreeMap, VecDeque},
     ffi::OsString,
-    io,
+    fs, io,
     path::{Path, PathBuf},
 };
 
@@ -18,17 +18,6 @@ use crate::{
 const MAX_LINES: usize = 2000;
 /// The maximum size of the file, in bytes; a larger one is not read.
 const MAX_BYTES: u64 = 16 << 20;
-
-/// Returns the path of the file of a robot: `log/<fleet>/<robot>.jsonl` in the [folder](state_folder) of the user's state. `None` if there
-/// is none. `variable` returns an environment variable.
-pub fn path(
-    fleet: &Name,
-    robot: &Name,
-    variable: impl Fn(&str) -> Option<OsString>,
-) -> Option<PathBuf> {
-    let folder = state_folder("log", variable)?;
-    Some(folder.join(fleet.as_str()).join(format!("{robot}.jsonl")))
-}
 
 /// A line, and when it was seen.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -111,5 +100,69 @@ impl SeenLog {
         self.file.replace(text)?;
         self.is_changed = false;
         Ok(())
+    }
+}
+
+/// The logs of the robots of a fleet that this computer has seen: `log/<fleet>/<robot>.jsonl` in the [folder](state_folder) of the
+/// user's state. Without such a folder, nothing is remembered. Each file is read when its robot is asked for.
+#[derive(Debug)]
+pub struct SeenLogs {
+    folder: Option<PathBuf>,
+    logs: BTreeMap<Name, SeenLog>,
+}
+
+impl SeenLogs {
+    /// Names the files of a fleet. `variable` returns an environment variable.
+    pub fn new(fleet: &Name, variable: impl Fn(&str) -> Option<OsString>) -> Self {
+        let folder = state_folder("log", variable);
+        Self {
+            folder: folder.map(|folder| folder.join(fleet.as_str())),
+            logs: BTreeMap::new(),
+        }
+    }
+
+    /// Returns the robots that have a file.
+    pub fn robots(&self) -> Vec<Name> {
+        let files = self
+            .folder
+            .as_ref()
+            .and_then(|folder| fs::read_dir(folder).ok());
+        let paths = files
+            .into_iter()
+            .flatten()
+            .flatten()
+            .map(|file| file.path());
+        let names = paths.filter_map(|path| Name::new(path.file_stem()?.to_str()?).ok());
+        names.collect()
+    }
+
+    /// Returns the log of a robot; `None` if it has no place.
+    ///
+    /// # Errors
+    /// Fails with the path if there is a file that cannot be read.
+    pub fn of(&mut self, robot: &Name) -> Result<Option<&mut SeenLog>, String> {
+        if !self.logs.contains_key(robot) {
+            let Some(folder) = &self.folder else {
+                return Ok(None);
+            };
+            let path = folder.join(format!("{robot}.jsonl"));
+            let log = SeenLog::open(&path);
+            let log = log.map_err(|error| format!("{}: {error}", path.display()))?;
+            self.logs.insert(robot.clone(), log);
+        }
+        Ok(self.logs.get_mut(robot))
+    }
+
+    /// Returns the logs that were asked for, by their robots.
+    pub fn all(&self) -> impl ExactSizeIterator<Item = (&Name, &SeenLog)> {
+        self.logs.iter()
+    }
+
+    /// Writes the files of the robots to which lines were added. Returns those that cannot be written.
+    pub fn save(&mut self) -> Vec<(&Name, io::Error)> {
+        let saved = self.logs.iter_mut().map(|(robot, log)| (robot, log.save()));
+        saved
+            .filter_map(|(robot, saved)| Some((robot, saved.err()?)))
+            .collect()
     }
 }
