@@ -43,11 +43,12 @@ pub struct LogKeeper {
     newest: u64,
     /// Whether somebody follows the lines of each publisher.
     is_followed: [bool; PUBLISHERS],
-    /// The lines that those who follow have not been sent yet.
-    pending: BTreeMap<String, Page>,
     actions: VecDeque<Action>,
     is_closed: bool,
 }
+
+/// The lines of a batch for those who follow, by their keys.
+type Sent = BTreeMap<String, Page>;
 
 /// The lines of one program.
 #[derive(Default)]
@@ -113,7 +114,6 @@ impl LogKeeper {
             size: 0,
             newest: 0,
             is_followed: [false; PUBLISHERS],
-            pending: BTreeMap::new(),
             actions,
             is_closed: false,
             place,
@@ -135,6 +135,7 @@ impl LogKeeper {
         let at = last.at;
         let ring = self.programs.entry(program.to_owned()).or_default();
         let lost = ring.on_run(batch.run, batch.first, batch.lines.len() as u64);
+        let mut sent = Sent::new();
         if lost > 0 {
             let text = format!(
                 "{lost} lines were lost: the program logs faster than the router can keep them"
@@ -144,36 +145,26 @@ impl LogKeeper {
                 logger,
                 ..Line::new(at, Level::Warn, text)
             };
-            self.keep(program, line, batch.private);
+            self.keep(program, line, batch.private, &mut sent);
         }
         for line in batch.lines {
-            self.keep(program, line, batch.private);
+            self.keep(program, line, batch.private, &mut sent);
         }
-        self.send();
+        self.send(sent);
         self.shrink();
     }
 
-    fn keep(&mut self, program: &str, line: Line, is_private: bool) {
+    /// Keeps a line of a program that has a ring, and adds it to what those who follow are sent. Lines of one batch share a message.
+    fn keep(&mut self, program: &str, line: Line, is_private: bool, sent: &mut Sent) {
+        let Some(ring) = self.programs.get_mut(program) else {
+            return;
+        };
         self.newest += 1;
         let kept = Kept {
             number: self.newest,
             program: program.to_owned(),
             line,
         };
-        let size = kept.line.size();
-        self.publish(&kept, is_private);
-        let ring = self.programs.entry(program.to_owned()).or_default();
-        ring.lines.push_back(Entry { kept, is_private });
-        ring.size += size;
-        self.size += size;
-        if ring.lines.len() > MAX_LINES {
-            self.size -= ring.remove_oldest();
-        }
-    }
-
-    /// Publishes a line for those who follow. Lines of one batch share a message.
-    fn publish(&mut self, kept: &Kept, is_private: bool) {
-        let ring = self.programs.entry(kept.program.clone()).or_default();
         for (index, publisher) in Publisher::all() {
             if kept.line.level < publisher.least || (is_private && !publisher.shows_private) {
                 continue;
@@ -182,19 +173,26 @@ impl LogKeeper {
             if !self.is_followed[index] {
                 continue;
             }
-            let key = publisher.key(&self.place, &kept.program);
-            let page = self.pending.entry(key).or_insert(Page {
+            let page = sent.entry(publisher.key(&self.place, program));
+            let page = page.or_insert(Page {
                 run: self.run,
                 at: before,
                 ..Page::default()
             });
             page.lines.push(kept.clone());
         }
+        let size = kept.line.size();
+        ring.lines.push_back(Entry { kept, is_private });
+        ring.size += size;
+        self.size += size;
+        if ring.lines.len() > MAX_LINES {
+            self.size -= ring.remove_oldest();
+        }
     }
 
     /// Sends what the lines of a batch have added for those who follow.
-    fn send(&mut self) {
-        for (key, page) in std::mem::take(&mut self.pending) {
+    fn send(&mut self, sent: Sent) {
+        for (key, page) in sent {
             // Those who follow notice that lines are missing, and ask for them.
             if self.actions.len() < MAX_ACTIONS {
                 let (payload, qos) = (page.write(), QOS);
