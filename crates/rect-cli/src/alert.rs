@@ -2,13 +2,13 @@
 use std::process::ExitCode;
 
 use clap::{Args, Subcommand};
-use rect::{Level, Name, RobotAlert};
+use rect::{Level, RobotAlert};
 use rect_core::text::humanize::duration;
 use rect_terminal::{self as terminal, Cell, Style, Table};
 use serde_json::json;
 
 use crate::{
-    session::{name, JoinArguments},
+    session::{JoinArguments, ListArguments},
     Done, Failure,
 };
 
@@ -34,18 +34,6 @@ enum AlertCommand {
     Raise(RaiseArguments),
     /// Clear an alert of this robot
     Clear(ClearArguments),
-}
-
-#[derive(Args)]
-struct ListArguments {
-    /// The robot [default: all]
-    #[arg(value_parser = name)]
-    robot: Option<Name>,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
-    #[command(flatten)]
-    join: JoinArguments,
 }
 
 #[derive(Args)]
@@ -119,11 +107,7 @@ fn document(one: &RobotAlert) -> serde_json::Value {
 pub fn table(alerts: &[RobotAlert]) -> Table {
     let mut table = Table::new(&["ROBOT", "LEVEL", "?ALERT", "SINCE", "?PROGRAM"]);
     for one in alerts {
-        let style = match one.alert.level {
-            Level::Error => Style::Wrong,
-            Level::Warn => Style::Poor,
-            Level::Info | Level::Debug => Style::Faint,
-        };
+        let style = Style::of_level(one.alert.level).unwrap_or(Style::Faint);
         let program = match one.retained.has_ended {
             true if one.alert.program.is_empty() => "its program has ended".to_owned(),
             true => format!("{}, which has ended", one.alert.program),

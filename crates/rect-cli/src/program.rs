@@ -7,11 +7,7 @@ use rect_dashboard::programs;
 use rect_terminal::{self as terminal, Cell, Style, Table};
 use serde_json::json;
 
-use crate::{
-    log,
-    session::{name, JoinArguments},
-    Done,
-};
+use crate::{log, session::ListArguments, Done};
 
 /// Show the programs that run on robots, and what they have logged
 #[derive(Args)]
@@ -38,18 +34,6 @@ pub struct ServiceArguments {
 enum ServiceCommand {
     /// List the services of a robot, or of all robots of the fleet
     List(ListArguments),
-}
-
-#[derive(Args)]
-struct ListArguments {
-    /// The robot [default: all]
-    #[arg(value_parser = name)]
-    robot: Option<Name>,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
-    #[command(flatten)]
-    join: JoinArguments,
 }
 
 /// Runs `rect program`.

@@ -30,6 +30,19 @@ pub struct JoinArguments {
     users: Option<PathBuf>,
 }
 
+/// Which robots a list is about, and its form.
+#[derive(Args)]
+pub struct ListArguments {
+    /// The robot [default: all]
+    #[arg(value_parser = name)]
+    pub robot: Option<Name>,
+    /// Print JSON
+    #[arg(long)]
+    pub json: bool,
+    #[command(flatten)]
+    pub join: JoinArguments,
+}
+
 /// The urgency and compression of a message.
 #[derive(Args, Clone, Debug)]
 pub struct DeliveryArguments {

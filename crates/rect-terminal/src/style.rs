@@ -5,6 +5,8 @@ use std::{
     sync::atomic::{AtomicU8, Ordering},
 };
 
+use rect_core::log::level::Level;
+
 /// When output is coloured.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Colours {
@@ -33,6 +35,18 @@ pub enum Style {
     Name,
     /// A detail, such as a time, dimmed.
     Faint,
+}
+
+impl Style {
+    /// Returns the meaning of a level; `None` for that of usual events.
+    pub fn of_level(level: Level) -> Option<Self> {
+        match level {
+            Level::Debug => Some(Self::Faint),
+            Level::Info => None,
+            Level::Warn => Some(Self::Poor),
+            Level::Error => Some(Self::Wrong),
+        }
+    }
 }
 
 const AUTO: u8 = 0;

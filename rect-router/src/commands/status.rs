@@ -73,10 +73,6 @@ fn alerts(alerts: &Value) -> Cell {
         worst = worst.max(level.unwrap_or_default());
         texts.extend(alert["text"].as_str());
     }
-    let style = match worst {
-        Level::Error => Style::Wrong,
-        Level::Warn => Style::Poor,
-        Level::Info | Level::Debug => Style::Faint,
-    };
+    let style = Style::of_level(worst).unwrap_or(Style::Faint);
     Cell::styled(style, texts.join("; "))
 }

@@ -77,11 +77,9 @@ impl Printer {
             false => kept.program.clone(),
         };
         let level = format!("{:<5}", line.level);
-        let level = match line.level {
-            Level::Debug => paint(Style::Faint, &level),
-            Level::Info => level,
-            Level::Warn => paint(Style::Poor, &level),
-            Level::Error => paint(Style::Wrong, &level),
+        let level = match Style::of_level(line.level) {
+            Some(style) => paint(style, &level),
+            None => level,
         };
         let mut details = String::new();
         for (name, value) in &line.fields {
