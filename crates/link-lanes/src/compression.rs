@@ -8,7 +8,7 @@ use std::{
 
 use flate2::{Compress, Compression, Decompress, FlushCompress, FlushDecompress, Status};
 
-/// The first bytes of compressed batches. Zenoh's messages never begin with them: 0x1f in the low five bits is none of their kinds.
+/// The first bytes of compressed batches. The low five bits of the first byte of Zenoh's messages are their kind, and no kind is 0x1f.
 const CONTINUES: u8 = 0x1f;
 const BEGINS: u8 = 0x3f;
 /// The last bytes of each part of a stream, which are not sent.
