@@ -3,7 +3,7 @@
 use std::{
     collections::{BTreeMap, VecDeque},
     fmt,
-    time::Instant,
+    time::{Duration, Instant},
 };
 
 use super::{
@@ -25,10 +25,13 @@ const PRIVATE_QUESTIONS: Id = Id(2);
 /// The ids of the publishers follow this one.
 const FIRST_PUBLISHER: u64 = 3;
 
-/// The maximum number of answers and publications that wait to be sent.
-const MAX_ACTIONS: usize = 1024;
 /// The maximum number of runs of a program whose next number is known.
 const MAX_RUNS: usize = 8;
+/// How many bytes per second those who follow are sent at most, a quarter of what a Bluetooth link carries, and how many at once.
+const PUBLISHED_PER_S: f64 = 8192.0;
+const PUBLISHED_AT_ONCE: f64 = 16384.0;
+/// The size at which a publication ends, in bytes of its lines. Those who follow ask for earlier ones.
+const PUBLICATION: usize = 8 << 10;
 /// The logger of the lines that the keeper adds.
 const LOGGER: &str = "rect";
 
@@ -43,12 +46,18 @@ pub struct LogKeeper {
     newest: u64,
     /// Whether somebody follows the lines of each publisher.
     is_followed: [bool; PUBLISHERS],
+    /// Whether there are lines that those who follow were not sent.
+    has_news: bool,
+    budget: Budget,
     actions: VecDeque<Action>,
     is_closed: bool,
 }
 
-/// The lines of a batch for those who follow, by their keys.
-type Sent = BTreeMap<String, Page>;
+/// How many bytes those who follow may be sent. A publication is sent as a whole, so that the bytes may be negative.
+struct Budget {
+    bytes: f64,
+    at: Option<Instant>,
+}
 
 /// The lines of one program.
 #[derive(Default)]
@@ -57,8 +66,10 @@ struct Ring {
     size: usize,
     /// The number that the next line of each of its last runs has.
     runs: VecDeque<(u32, u64)>,
-    /// The number of the newest line that each publisher would have published.
-    newest: [u64; PUBLISHERS],
+    /// The number of the newest line that each publisher has published.
+    published: [u64; PUBLISHERS],
+    /// The number of the newest line that was removed.
+    removed: u64,
 }
 
 /// One for each least level of those who follow, without private lines and with them.
@@ -114,6 +125,11 @@ impl LogKeeper {
             size: 0,
             newest: 0,
             is_followed: [false; PUBLISHERS],
+            has_news: false,
+            budget: Budget {
+                bytes: PUBLISHED_AT_ONCE,
+                at: None,
+            },
             actions,
             is_closed: false,
             place,
@@ -135,7 +151,6 @@ impl LogKeeper {
         let at = last.at;
         let ring = self.programs.entry(program.to_owned()).or_default();
         let lost = ring.on_run(batch.run, batch.first, batch.lines.len() as u64);
-        let mut sent = Sent::new();
         if lost > 0 {
             let text = format!(
                 "{lost} lines were lost: the program logs faster than the router can keep them"
@@ -145,17 +160,17 @@ impl LogKeeper {
                 logger,
                 ..Line::new(at, Level::Warn, text)
             };
-            self.keep(program, line, batch.private, &mut sent);
+            self.keep(program, line, batch.private);
         }
         for line in batch.lines {
-            self.keep(program, line, batch.private, &mut sent);
+            self.keep(program, line, batch.private);
         }
-        self.send(sent);
         self.shrink();
+        self.has_news = true;
     }
 
-    /// Keeps a line of a program that has a ring, and adds it to what those who follow are sent. Lines of one batch share a message.
-    fn keep(&mut self, program: &str, line: Line, is_private: bool, sent: &mut Sent) {
+    /// Keeps a line of a program that has a ring.
+    fn keep(&mut self, program: &str, line: Line, is_private: bool) {
         let Some(ring) = self.programs.get_mut(program) else {
             return;
         };
@@ -165,22 +180,6 @@ impl LogKeeper {
             program: program.to_owned(),
             line,
         };
-        for (index, publisher) in Publisher::all() {
-            if kept.line.level < publisher.least || (is_private && !publisher.shows_private) {
-                continue;
-            }
-            let before = std::mem::replace(&mut ring.newest[index], kept.number);
-            if !self.is_followed[index] {
-                continue;
-            }
-            let page = sent.entry(publisher.key(&self.place, program));
-            let page = page.or_insert(Page {
-                run: self.run,
-                at: before,
-                ..Page::default()
-            });
-            page.lines.push(kept.clone());
-        }
         let size = kept.line.size();
         ring.lines.push_back(Entry { kept, is_private });
         ring.size += size;
@@ -190,14 +189,30 @@ impl LogKeeper {
         }
     }
 
-    /// Sends what the lines of a batch have added for those who follow.
-    fn send(&mut self, sent: Sent) {
-        for (key, page) in sent {
-            // Those who follow notice that lines are missing, and ask for them.
-            if self.actions.len() < MAX_ACTIONS {
-                let (payload, qos) = (page.write(), QOS);
-                let action = Action::PutOnce { key, payload, qos };
-                self.actions.push_back(action);
+    /// Sends those who follow what is new, with one publication for each of them and each program.
+    fn publish(&mut self) {
+        self.has_news = false;
+        for (index, publisher) in Publisher::all() {
+            if !self.is_followed[index] {
+                continue;
+            }
+            for (program, ring) in &mut self.programs {
+                let Some((at, lines)) = ring.news(index, publisher) else {
+                    continue;
+                };
+                let page = Page {
+                    run: self.run,
+                    at,
+                    more: false,
+                    lines,
+                };
+                let payload = page.write();
+                self.budget.spend(payload.bytes.len());
+                self.actions.push_back(Action::PutOnce {
+                    key: publisher.key(&self.place, program),
+                    payload,
+                    qos: QOS,
+                });
             }
         }
     }
@@ -245,6 +260,16 @@ impl LogKeeper {
         }
     }
 
+    /// Handles that the first one follows a publisher, or that nobody does any more. Lines that were kept before are asked for.
+    fn on_followed(&mut self, publisher: usize, is_followed: bool) {
+        self.is_followed[publisher] = is_followed;
+        if is_followed {
+            for ring in self.programs.values_mut() {
+                ring.published[publisher] = self.newest;
+            }
+        }
+    }
+
     fn on_question(&mut self, query: QueryId, payload: &Payload, shows_private: bool) {
         let answer = match Question::read(&payload.bytes) {
             Ok(question) => Answer::Reply {
@@ -281,6 +306,29 @@ impl Publisher {
         let key = read_key(place, Some(&place.robot), self.shows_private);
         format!("{key}/{}/{program}", self.least)
     }
+
+    fn shows(self, entry: &Entry) -> bool {
+        entry.kept.line.level >= self.least && (self.shows_private || !entry.is_private)
+    }
+}
+
+impl Budget {
+    /// Returns when something may be sent, if that is not now.
+    fn wait(&mut self, now: Instant) -> Option<Instant> {
+        let before = self.at.replace(now).unwrap_or(now);
+        let earned = now.saturating_duration_since(before).as_secs_f64() * PUBLISHED_PER_S;
+        self.bytes = PUBLISHED_AT_ONCE.min(self.bytes + earned);
+        let missing = 1.0 - self.bytes;
+        (missing > 0.0).then(|| now + Duration::from_secs_f64(missing / PUBLISHED_PER_S))
+    }
+
+    #[expect(
+        clippy::cast_precision_loss,
+        reason = "a publication has far fewer bytes than f64 counts exactly"
+    )]
+    fn spend(&mut self, bytes: usize) {
+        self.bytes -= bytes as f64;
+    }
 }
 
 impl Ring {
@@ -304,9 +352,31 @@ impl Ring {
         }
     }
 
+    /// Returns the newest lines that a publisher has not published, as many as fit into a publication, and the number of the last one
+    /// that it published. If lines in between are left out, that number is greater, so that those who follow notice.
+    fn news(&mut self, index: usize, publisher: Publisher) -> Option<(u64, Vec<Kept>)> {
+        let published = self.published[index];
+        let new = self.lines.iter().rev();
+        let new = new.take_while(|entry| entry.kept.number > published);
+        let mut new = new.filter(|entry| publisher.shows(entry)).peekable();
+        let (mut lines, mut size) = (Vec::new(), 0);
+        while let Some(entry) = new.next_if(|_| size < PUBLICATION) {
+            size += entry.kept.line.size();
+            lines.push(entry.kept.clone());
+        }
+        let are_missing = new.peek().is_some() || self.removed > published;
+        lines.reverse();
+        let (first, last) = (lines.first()?.number, lines.last()?.number);
+        self.published[index] = last;
+        Some((if are_missing { first - 1 } else { published }, lines))
+    }
+
     /// Removes the oldest line, and returns its size.
     fn remove_oldest(&mut self) -> usize {
         let oldest = self.lines.pop_front();
+        if let Some(entry) = &oldest {
+            self.removed = entry.kept.number;
+        }
         let size = oldest.map_or(0, |entry| entry.kept.line.size());
         self.size -= size;
         size
@@ -326,9 +396,8 @@ impl Driver for LogKeeper {
             Event::Matching { id, matching } => {
                 let index = id.0.checked_sub(FIRST_PUBLISHER);
                 let index = index.and_then(|index| usize::try_from(index).ok());
-                let followed = index.and_then(|index| self.is_followed.get_mut(index));
-                if let Some(is_followed) = followed {
-                    *is_followed = matching;
+                if let Some(index) = index.filter(|index| *index < PUBLISHERS) {
+                    self.on_followed(index, matching);
                 }
                 return Reaction::NONE;
             }
@@ -338,9 +407,15 @@ impl Driver for LogKeeper {
         Reaction::POLL
     }
 
-    fn poll(&mut self, _now: Instant) -> Step<Self::Item, ()> {
+    fn poll(&mut self, now: Instant) -> Step<Self::Item, ()> {
         if self.is_closed {
             return Step::Finished(());
+        }
+        if self.has_news && self.is_followed.contains(&true) && self.actions.is_empty() {
+            if let Some(at) = self.budget.wait(now) {
+                return Step::Wait(Some(at));
+            }
+            self.publish();
         }
         match self.actions.pop_front() {
             Some(action) => Step::Act(action),

@@ -51,6 +51,8 @@ struct World {
     follows: bool,
     is_linked: bool,
     queries: u64,
+    /// The size of all publications, in bytes.
+    published: usize,
     items: Vec<Item>,
     is_finished: bool,
 }
@@ -65,6 +67,7 @@ impl World {
             followed: Vec::new(),
             is_linked: true,
             queries: 0,
+            published: 0,
             items: Vec::new(),
             is_finished: false,
         }
@@ -95,6 +98,7 @@ impl World {
         loop {
             match self.keeper.poll(self.now) {
                 Step::Act(Action::PutOnce { key, payload, .. }) if self.is_linked => {
+                    self.published += payload.bytes.len();
                     let sample = sample(&key, payload);
                     self.deliver(Event::Sample { id: Id(0), sample });
                 }
@@ -401,6 +405,28 @@ fn a_robot_that_comes_later_is_asked_for_its_last_lines() {
     });
     world.run();
     assert_eq!(world.texts(), ["one"]);
+}
+
+#[test]
+fn a_flood_is_followed_at_a_limited_rate_up_to_its_last_line() {
+    let mut world = World::new(follow());
+    world.run();
+    let mut outbox = outbox();
+    // 10 s with 5,000 lines a second.
+    for number in 0..500 {
+        for line in 0..100_u64 {
+            let noise = (number * 100 + line).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            log(&mut outbox, &world, &format!("{number} {noise:x}"));
+        }
+        world.send(&mut outbox, false);
+    }
+    log(&mut outbox, &world, "last");
+    world.send(&mut outbox, false);
+    world.now += Duration::from_secs(2);
+    world.run();
+    assert!(world.published < 120_000, "{}", world.published);
+    assert!(world.items.contains(&Item::Missed(name("wombat-1"))));
+    assert_eq!(world.texts().last().map(String::as_str), Some("last"));
 }
 
 #[test]
