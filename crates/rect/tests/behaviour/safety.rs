@@ -4,7 +4,7 @@ use std::{
     time::Duration,
 };
 
-use rect::{Confirmation, Deadman, Json, Robot};
+use rect::{Confirmation, Deadman, Json, Publisher, Robot};
 use tokio::time::{sleep, timeout};
 
 use crate::pair::{pair, TIMEOUT};
@@ -53,24 +53,33 @@ impl Motors {
     }
 }
 
+/// Declares the publisher of commands, once their subscriber is known: an ordinary message that is published before is lost.
+async fn stick(laptop: &Robot) -> Publisher<f64> {
+    let stick = laptop.publisher("drive").await.expect("a publisher");
+    let subscribed = stick.wait_for_subscriber(TIMEOUT).await;
+    subscribed.expect("a subscriber");
+    stick
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_robot_follows_while_commands_arrive() {
     let (laptop, robot) = pair("laptop", "wombat").await;
     let motors = Motors::default();
-    let switch = motors.following(&robot, 200).await;
+    let switch = motors.following(&robot, 1000).await;
     motors.until("lost: no command has arrived yet").await;
+    let stick = stick(&laptop).await;
     // A retained message is not a sign of life.
     laptop
         .retained()
         .publish("drive", Json(9.0))
         .await
         .expect("kept");
-    laptop.publish("drive", Json(0.5)).await.expect("sent");
+    stick.publish(0.5).await.expect("sent");
     motors.until("drive 0.5").await;
     assert!(switch.is_following());
-    motors.until("lost: no command of laptop for 200 ms").await;
+    motors.until("lost: no command of laptop for 1 s").await;
     assert!(!switch.is_following());
-    laptop.publish("drive", Json(0.7)).await.expect("sent");
+    stick.publish(0.7).await.expect("sent");
     motors.until("drive 0.7").await;
     laptop.close().await.expect("closed");
     motors.until("lost: ").await;
@@ -84,9 +93,10 @@ async fn a_stop_holds_until_it_is_released_and_the_stick_is_neutral() {
     let (laptop, robot) = pair("laptop", "wombat").await;
     let motors = Motors::default();
     let _switch = motors.following(&robot, 60_000).await;
+    let stick = stick(&laptop).await;
     let stop = laptop.fleet_stop().await.expect("takes part");
     let mut changes = stop.changes();
-    laptop.publish("drive", Json(0.5)).await.expect("sent");
+    stick.publish(0.5).await.expect("sent");
     motors.until("drive 0.5").await;
     stop.press("smoke").await.expect("pressed");
     motors.until("lost: stopped by laptop: smoke").await;
@@ -97,8 +107,8 @@ async fn a_stop_holds_until_it_is_released_and_the_stick_is_neutral() {
         }
     };
     timeout(TIMEOUT, confirmed).await.expect("confirmed");
-    laptop.publish("drive", Json(0.0)).await.expect("sent");
-    laptop.publish("drive", Json(0.6)).await.expect("sent");
+    stick.publish(0.0).await.expect("sent");
+    stick.publish(0.6).await.expect("sent");
     // The robot releases it itself, and the laptop learns of that.
     let own = robot.fleet_stop().await.expect("the same one");
     assert!(own.is_stopped() && own.pressed()[0].reason == "smoke");
@@ -111,7 +121,7 @@ async fn a_stop_holds_until_it_is_released_and_the_stick_is_neutral() {
     };
     timeout(TIMEOUT, released).await.expect("released");
     for speed in [0.8, 0.0, 0.9] {
-        laptop.publish("drive", Json(speed)).await.expect("sent");
+        stick.publish(speed).await.expect("sent");
     }
     motors.until("drive 0.9").await;
     let before = motors.all();
@@ -126,6 +136,7 @@ async fn a_robot_that_comes_later_is_stopped() {
     stop.press("").await.expect("pressed");
     let motors = Motors::default();
     let _switch = motors.following(&robot, 60_000).await;
+    let stick = stick(&laptop).await;
     let own = robot.fleet_stop().await.expect("takes part");
     let mut changes = own.changes();
     let stopped = async {
@@ -134,7 +145,7 @@ async fn a_robot_that_comes_later_is_stopped() {
         }
     };
     timeout(TIMEOUT, stopped).await.expect("stopped");
-    laptop.publish("drive", Json(0.5)).await.expect("sent");
+    stick.publish(0.5).await.expect("sent");
     sleep(Duration::from_millis(100)).await;
     assert_eq!(motors.all(), ["lost: no command has arrived yet"]);
 }
