@@ -464,6 +464,29 @@ def test_stock_program_changes_parameters_with_json(routers: Routers) -> None:
         assert drive.kp == 3.0
 
 
+@pytest.mark.parametrize("stored", [False, True])
+def test_order_that_is_interrupted_is_sent_again(routers: Routers, stored: bool) -> None:
+    key = f"rect/wombat-1/@rect/@set/parameters/interrupted{stored:d}"
+    orders: list[str] = []
+
+    def reply(query: zenoh.Query) -> None:
+        """Ends the first order without a reply."""
+        orders.append("")
+        if len(orders) > 1:
+            query.reply(key, '{"values": {"kp": 2.0}}', encoding="application/json")
+            if stored:
+                query.reply(key, '{"stored": true}', encoding="application/json")
+
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"')
+    config.insert_json5("connect/endpoints", f'["{routers.endpoints["wombat-1"]}"]')
+    with zenoh.open(config) as stock, routers.connect("wombat-2") as two:
+        stock.declare_queryable(key, reply, complete=True)
+        group = key.rsplit("/", 1)[1]
+        assert set_when_known(two, "wombat-1", group, {"kp": 2}, stored=stored) == {"kp": 2.0}
+        assert len(orders) == 2
+
+
 #: The part of a rule that lets other robots of the fleet change parameters.
 OTHERS = ', "rect/*/@rect/@set/parameters/**"'
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rect import _rect
-from rect.errors import NoParameters, NoService, NotStored, RectError
+from rect.errors import Interrupted, NoParameters, NoService, NotStored, RectError
 from rect.program import programs_of
 from rect.request import Replies
 from rect.values import Payload
@@ -45,6 +45,11 @@ def set_parameters(
             groups = _groups_of(session, robot)
             if group not in groups or time.monotonic() >= until:
                 raise NoParameters(robot, group, groups) from None
+        except Interrupted:
+            # A group that was declared while the order was in flight, or whose program was started again. An order that
+            # is carried out twice leaves the same values.
+            if time.monotonic() >= until:
+                raise
         finally:
             replies.leave()
         time.sleep(_rect.PARAMETERS_PAUSE_S)

@@ -752,7 +752,8 @@ class Robot:
         """Changes parameters of a program of `robot`: all or none.
 
         Returns those that the call names, with the values that are in force now. Access control may permit it to some
-        only (`@rect/@set/parameters/**`).
+        only (`@rect/@set/parameters/**`). An order that ends without a reply in the first second, for example because
+        the program has just begun, is sent again, which is safe: one that is carried out twice leaves the same values.
 
         - `values`, and keywords: the new values, by the names of the parameters.
         - `reset`: a list of the parameters that get their defaults, or `True` for all except for those that are

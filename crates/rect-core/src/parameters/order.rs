@@ -12,7 +12,8 @@ use crate::{
     text::display::is_harmful,
 };
 
-/// The time within which a group that the catalogue lists can be reached, since it was just declared.
+/// The time within which a group that the catalogue lists can be reached, since it was just declared. An order that is interrupted within
+/// it is sent again.
 pub const DECLARED_WITHIN: Duration = Duration::from_secs(1);
 /// The pause between two attempts to reach it.
 pub const PAUSE: Duration = Duration::from_millis(100);

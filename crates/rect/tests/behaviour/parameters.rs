@@ -1,7 +1,10 @@
 //! Tests parameters between robots that are linked directly: `cargo test -p rect-robot --test behaviour parameters`
 use std::{
     fs,
-    sync::{Arc, Mutex},
+    sync::{
+        atomic::{AtomicUsize, Ordering},
+        Arc, Mutex,
+    },
     time::Duration,
 };
 
@@ -187,21 +190,60 @@ async fn a_flood_of_changes_ends_with_the_last_one_for_everybody() {
         .subscribe::<Value>("a/parameters/drive")
         .await
         .expect("subscribed");
-    for n in 0..200 {
-        let kp = f64::from(n % 10);
+    for n in 1..=200 {
+        let kp = f64::from(n) / 20.0;
         b.set_parameters("a", "drive", [("kp", kp)])
             .await
             .expect("set");
     }
-    assert_eq!(drive.get().kp, 9.0);
-    let mut last = serde_json::Value::Null;
+    assert_eq!(drive.get().kp, 10.0);
+    let last = async {
+        let mut kp = serde_json::Value::Null;
+        while kp != 10.0 {
+            let message = values.next().await.expect("open");
+            kp = message.value.expect("a value")["values"]["kp"].clone();
+        }
+    };
+    timeout(TIMEOUT, last).await.expect("the last values");
     let quiet = Duration::from_millis(500);
-    while let Ok(message) = timeout(quiet, values.next()).await {
-        let value = message.expect("open").value.expect("a value");
-        last = value["values"]["kp"].clone();
-    }
-    assert_eq!(last, 9.0);
+    let later = timeout(quiet, values.next()).await;
+    assert!(later.is_err(), "{later:?}");
     drop(drive);
     let text = fs::read_to_string(folder.path().join("drive.json")).expect("stored");
-    assert!(text.contains("\"kp\": 9.0"), "{text}");
+    assert!(text.contains("\"kp\": 10.0"), "{text}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_order_that_is_interrupted_is_sent_again() {
+    let endpoint = free_endpoint();
+    let robot = listening("b", &endpoint).await;
+    // A program that ends the first order without a reply.
+    let stock = stock_client(&endpoint);
+    let key = "rect/a/@rect/@set/parameters/drive";
+    let orders = Arc::new(AtomicUsize::new(0));
+    let counted = orders.clone();
+    let _service = stock
+        .declare_queryable(key)
+        .complete(true)
+        .callback(move |query| {
+            if counted.fetch_add(1, Ordering::Relaxed) > 0 {
+                let reply = query.reply(key, r#"{"values": {"kp": 2.0}}"#);
+                let reply = reply.encoding(zenoh::bytes::Encoding::APPLICATION_JSON);
+                reply.wait().expect("replied");
+            }
+        })
+        .wait()
+        .expect("served");
+    let set = async {
+        loop {
+            match robot.set_parameters("a", "drive", [("kp", 2.0)]).await {
+                // The robot has not discovered the program yet.
+                Err(Error::NoParameters { .. }) => {}
+                set => return set,
+            }
+        }
+    };
+    let set = timeout(TIMEOUT, set).await.expect("in time").expect("set");
+    assert_eq!(set["kp"], ParameterValue::Number(2.0));
+    assert_eq!(orders.load(Ordering::Relaxed), 2);
 }

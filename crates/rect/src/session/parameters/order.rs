@@ -70,6 +70,9 @@ impl Robot {
     /// Changes parameters of a program of `robot`: all or none. Returns those that the order names, with the values that are in force
     /// now. Access control may permit it to some only (`@rect/@set/parameters/**`).
     ///
+    /// An order that ends without a reply in the first second, for example because the program has just begun, is sent again. That is
+    /// safe: an order that is carried out twice leaves the same values.
+    ///
     /// ```no_run
     /// # async fn tune(robot: rect::Robot) -> Result<(), rect::Error> {
     /// robot.set_parameters("wombat-2", "drive", [("kp", 2.0)]).await?;
@@ -115,6 +118,8 @@ impl Robot {
                     }
                     sleep(PAUSE).await;
                 }
+                // A group that was declared while the order was in flight, or whose program was started again.
+                Err(Error::Interrupted { .. }) if Instant::now() < until => sleep(PAUSE).await,
                 Err(error) => return Err(error),
             }
         }
