@@ -1,5 +1,5 @@
-"""Logs over a TCP link slowed to the rate of Bluetooth: urgent messages beside a program that logs 10,000 lines a
-second, the last lines of a crash, and the memory of the program."""
+"""Logs over Bluetooth, on the simulated air, and over a TCP link slowed to its rate: urgent messages beside a program
+that logs 10,000 lines a second, the last lines of a crash, and the memory of the program."""
 
 import os
 import statistics
@@ -8,11 +8,15 @@ import sys
 import tempfile
 import threading
 import time
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import rect
 from comparison import rounds
+from pairs import room
+from robots import rect_settings
+from room import wait_for_link
 from state import RATE_BYTES_PER_S, routers
 from table import Table
 from traffic import percentile
@@ -21,6 +25,8 @@ from traffic import percentile
 LINES_PER_S, FOR_S = 10_000, float(rounds(20))
 #: Urgent messages a second.
 URGENT_PER_S = 20
+#: The payload of the link-layer packets in bytes: with 27, the air carries 34 kB/s.
+PDU = 27
 CRASHES = rounds(5)
 TIMEOUT_S = 30.0
 
@@ -139,24 +145,46 @@ def crash(near: str, far: str) -> float:
     raise AssertionError("the log ended")
 
 
-def run() -> Table:
-    columns = ["", "urgent p50, p99", "lines on the laptop", "lines kept"]
-    table = Table(f"{LINES_PER_S:,} lines a second over a link of {RATE_BYTES_PER_S / 1000:.0f} kB/s", columns)
+@contextmanager
+def over_bluetooth() -> Iterator[tuple[str, str]]:
+    with room(PDU) as air:
+        near, far = (
+            air.add_robot(name, arguments=tuple(rect_settings({"robot": name}))) for name in ("wombat-1", "wombat-2")
+        )
+        wait_for_link(near, far)
+        yield near.endpoint(), far.endpoint()
+
+
+@contextmanager
+def over_tcp() -> Iterator[tuple[str, str]]:
     with routers() as (_shaper, near, far):
-        with rect.connect("wombat-1", router=near) as robot, rect.connect("wombat-2", router=far) as laptop:
-            laptop.wait_for_peer("wombat-1", TIMEOUT_S)
-            ages = urgent_ages(laptop, robot, FOR_S)
-        table.add("nobody logs", f"{percentile(ages, 0.5):.0f}, {percentile(ages, 0.99):.0f} ms", "-", "-")
-        row, _ = loud(near, far, follows=False)
-        table.add("a program logs, nobody reads", *row)
-        row, cost = loud(near, far, follows=True)
-        table.add("a program logs, the laptop follows all lines", *row)
-        times = [crash(near, far) for _ in range(CRASHES)]
+        yield near, far
+
+
+def run() -> Table:
+    columns = ["", "urgent p50, p99", "lines on the laptop", "lines kept", "end of a crash"]
+    table = Table(f"{LINES_PER_S:,} lines a second over a link of {RATE_BYTES_PER_S / 1000:.0f} kB/s", columns)
+    costs = []
+    for link, endpoints in {"Bluetooth": over_bluetooth, "TCP": over_tcp}.items():
+        with endpoints() as (near, far):
+            with rect.connect("wombat-1", router=near) as robot, rect.connect("wombat-2", router=far) as laptop:
+                laptop.wait_for_peer("wombat-1", TIMEOUT_S)
+                ages = urgent_ages(laptop, robot, FOR_S)
+            times = [crash(near, far) for _ in range(CRASHES)]
+            quiet = f"{percentile(ages, 0.5):.0f}, {percentile(ages, 0.99):.0f} ms"
+            ends = f"{statistics.median(times):.2f} s, at most {max(times):.2f} s"
+            table.add(f"{link}: nobody logs", quiet, "-", "-", ends)
+            row, _ = loud(near, far, follows=False)
+            table.add(f"{link}: a program logs, nobody reads", *row, "-")
+            row, cost = loud(near, far, follows=True)
+            table.add(f"{link}: a program logs, the laptop follows all lines", *row, "-")
+            costs.append(cost)
     table.notes = [
-        f"The longest call of `robot.log` in Python, and the program's private memory at the end: {cost}.",
-        f"From the last line of a crash of 40 frames, under `rect run`, until the laptop has its end: "
-        f"{statistics.median(times):.2f} s, at most {max(times):.2f} s ({CRASHES} times).",
+        f"The longest call of `robot.log` in Python, and the program's private memory at the end: {costs[0]}.",
+        f"The end of a crash: from the last line of a stack trace of 40 frames, under `rect run`, until the laptop has "
+        f"the line that says how the program ended; median of {CRASHES}.",
         f"Lines of about 90 bytes for {FOR_S:.0f} s, beside {URGENT_PER_S} urgent messages a second of the robot. "
-        "A follower gets what the link carries, and learns that lines are missing; the router keeps the last 1,000.",
+        "A follower gets 8 kB a second, and learns that lines are missing; the router keeps the last 1,000. "
+        "Bluetooth is the simulated air, with packets of 27 bytes and a connection interval of 30 ms.",
     ]
     return table
