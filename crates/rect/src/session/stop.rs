@@ -52,7 +52,7 @@ impl Robot {
     /// # async fn smoke(robot: rect::Robot) -> Result<(), rect::Error> {
     /// let stop = robot.fleet_stop().await?;
     /// stop.press("smoke").await?;
-    /// println!("{:?}", stop.confirmation("wombat-2".parse()?));
+    /// println!("{:?}", stop.confirmation(&"wombat-2".parse()?));
     /// stop.release().await?;
     /// # Ok(()) }
     /// ```
