@@ -85,11 +85,16 @@ struct ServiceDocument {
 impl ServiceDocument {
     fn checked(self) -> Result<ServiceEntry, CatalogueError> {
         let wrong = |error: String| CatalogueError(error);
+        let name = self.topic.rsplit('/').next();
         let Some(parameters) = self.parameters else {
+            let action = name.and_then(Topic::of_action);
+            if let Some(topic) = action.filter(|topic| topic.as_str() == self.topic) {
+                return Ok(ServiceEntry::new(topic, &self.about, false));
+            }
             let topic = Topic::new(&self.topic).map_err(|error| wrong(error.to_string()))?;
             return Ok(ServiceEntry::new(topic, &self.about, self.several));
         };
-        let group = self.topic.rsplit('/').next().and_then(Topic::of_parameters);
+        let group = name.and_then(Topic::of_parameters);
         let topic = group.filter(|topic| topic.as_str() == self.topic);
         let topic =
             topic.ok_or_else(|| wrong(format!("{:?} cannot have parameters", self.topic)))?;
@@ -119,6 +124,11 @@ impl ServiceEntry {
             parameters: Some(declaration),
             ..Self::new(Topic::of_parameters(group)?, about, false)
         })
+    }
+
+    /// Creates an action. `None` if its name is invalid.
+    pub fn of_action(action: &str, about: &str) -> Option<Self> {
+        Some(Self::new(Topic::of_action(action)?, about, false))
     }
 
     /// Returns whether two services cannot exist at the same time, because they have one topic and do not both allow that.
@@ -156,11 +166,18 @@ impl Program {
             .filter_map(|service| Some((service.topic.parameters()?, service.parameters.as_ref()?)))
     }
 
+    /// Returns the program's actions with their descriptions.
+    pub fn actions(&self) -> impl Iterator<Item = (&str, &str)> {
+        let services = self.services.iter();
+        services.filter_map(|service| Some((service.topic.action()?, service.about.as_str())))
+    }
+
     /// Returns the program's services for requests.
     pub fn requestable(&self) -> impl Iterator<Item = &ServiceEntry> {
-        self.services
-            .iter()
-            .filter(|service| service.parameters.is_none())
+        let is_ordinary = |service: &&ServiceEntry| {
+            service.parameters.is_none() && service.topic.action().is_none()
+        };
+        self.services.iter().filter(is_ordinary)
     }
 
     /// Returns whether the program serves a topic.

@@ -5,6 +5,7 @@
 //! payloads smaller. [`alert`], [`deadman`], [`log`], [`parameters`], [`registry`], [`retry`], [`session`], [`state`], [`stop`],
 //! [`stream`] and [`transfer`] make the decisions of a session: plain structs and functions decide about a single call, and a
 //! [`driver`] decides what takes more than one call to Zenoh. [`storage`] reads and writes the files of transfers.
+pub mod action;
 pub mod alert;
 pub mod catalogue;
 pub mod cause;

@@ -12,6 +12,8 @@ pub const MAX_BYTES: usize = 200;
 
 /// The beginning of the topics at which groups of parameters are changed. Access control grants it separately (`@set`).
 const PARAMETERS: &str = "@rect/@set/parameters/";
+/// The beginning of the topics at which goals of actions are started and cancelled. Access control grants it separately (`@set`).
+const ACTIONS: &str = "@rect/@set/actions/";
 
 /// The part of a key that precedes the recipient of a message to one robot.
 pub(super) const TO: &str = "to";
@@ -133,6 +135,16 @@ impl Topic {
     /// Returns the group of parameters whose changes are served here.
     pub fn parameters(&self) -> Option<&str> {
         self.0.strip_prefix(PARAMETERS)
+    }
+
+    /// Returns the internal topic at which a program serves an action. `None` if the name of the action is invalid.
+    pub fn of_action(action: &str) -> Option<Self> {
+        is_name(action).then(|| Self(format!("{ACTIONS}{action}").into()))
+    }
+
+    /// Returns the action that is served here.
+    pub fn action(&self) -> Option<&str> {
+        self.0.strip_prefix(ACTIONS)
     }
 
     /// Returns the topic as text.

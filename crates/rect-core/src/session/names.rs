@@ -56,3 +56,16 @@ pub fn no_parameters(robot: &Name, group: &str, available: &[String]) -> String 
     let groups = in_words("its groups", group, names);
     format!("no program of {robot} has the parameters {group}; {groups}")
 }
+
+/// Returns the error that a robot has no action of that name.
+pub fn no_action(robot: &Name, action: &str, available: &[String]) -> String {
+    if available.iter().any(|known| known == action) {
+        return format!(
+            "{robot} has the action {action}, and the access control of a router on the way lets nobody start it: it needs the key \
+             expression <fleet>/*/@rect/@set/actions/** (docs/how-to/long-tasks.md)"
+        );
+    }
+    let names = available.iter().map(String::as_str);
+    let actions = in_words("its actions", action, names);
+    format!("no program of {robot} has the action {action}; {actions}")
+}
