@@ -16,6 +16,7 @@ use std::time::Duration;
 
 use serde::Serialize;
 
+use self::state::Phase;
 use crate::{
     message::{
         encoding::Encoding,
@@ -64,6 +65,22 @@ pub fn of_topic(topic: &str) -> Option<(&str, &str)> {
 /// Returns the error that a text cannot name an action.
 pub fn wrong_action(action: &str) -> String {
     wrong_name(action, "the name of an action")
+}
+
+/// Returns the error that a goal has ended without being done.
+pub fn goal_ended(phase: Phase, reason: &str) -> String {
+    let end = match phase {
+        Phase::Failed => "failed",
+        Phase::Lost => "is lost",
+        Phase::Refused => "was refused",
+        Phase::Preempted => "was preempted",
+        Phase::Cancelled => "was cancelled",
+        phase => phase.as_str(),
+    };
+    match reason {
+        "" => format!("the goal {end}"),
+        reason => format!("the goal {end}: {reason}"),
+    }
 }
 
 /// Returns the id of a goal that is made of a random number.

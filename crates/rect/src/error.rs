@@ -2,6 +2,7 @@
 use std::{path::PathBuf, time::Duration};
 
 use rect_core::{
+    action::{goal_ended, state::Phase},
     codec::{dictionary::DictionaryError, CodecError},
     message::payload::{Payload, PayloadError},
     name::{
@@ -10,7 +11,7 @@ use rect_core::{
     },
     session::{
         login::LoginRefused,
-        names::{interrupted, no_parameters, no_service, not_reachable},
+        names::{interrupted, no_action, no_parameters, no_service, not_reachable},
         router::WrongRobot,
     },
     stream::options::OptionError,
@@ -129,6 +130,41 @@ pub enum Error {
         group: String,
         /// The groups of the robot.
         available: Vec<String>,
+    },
+    /// No program of the robot has the action. Is its program running? A robot that was configured by an earlier version lacks the rule for
+    /// `@rect/@set/actions/**` in its access control.
+    #[error("{}", no_action(.robot, .action, .available))]
+    NoAction {
+        /// The robot.
+        robot: Name,
+        /// The action.
+        action: String,
+        /// The actions of the robot.
+        available: Vec<String>,
+    },
+    /// The robot does not know the goal: it never began, or ended more than ten minutes ago.
+    #[error("{robot} does not know the goal {goal} of the action {action}: it never began, or ended more than 10 minutes ago")]
+    NoGoal {
+        /// The robot.
+        robot: Name,
+        /// The action.
+        action: String,
+        /// The id of the goal.
+        goal: String,
+    },
+    /// A goal was not carried out, or not to its end.
+    #[error("{}", goal_ended(*.phase, .reason))]
+    Goal {
+        /// How it ended.
+        phase: Phase,
+        /// Why; empty if that is clear.
+        reason: String,
+    },
+    /// An action cannot be declared. The reason states what to do.
+    #[error("{reason}")]
+    Action {
+        /// The reason.
+        reason: String,
     },
     /// The values are in force, but are lost when the program of the robot ends. The reason names the file, if there is one.
     #[error("{robot} uses the values, and has not stored them: {reason}")]

@@ -25,6 +25,7 @@ pub use error::Error;
 pub use session::*;
 
 pub use rect_core::{
+    action::state::{GoalState, KnownGoal, Phase},
     alert::{query::RobotAlert, Alert},
     catalogue::{Program, ServiceEntry},
     codec,

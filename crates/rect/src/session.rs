@@ -1,5 +1,6 @@
 //! Implements sessions on Zenoh: robots, subscribers, services, streams and transfers. The protocol's decisions are made in
 //! the [core](rect_core); this module connects them to Zenoh and to the program.
+mod action;
 mod alert;
 mod connect;
 mod convert;
@@ -45,6 +46,7 @@ mod urgency_sessions;
 mod waiting;
 mod warnings;
 
+pub use action::{Action, ActionChanges, ActionOptions, ActionRun, Cancelled, Goal};
 pub use deadman::Deadman;
 #[doc(hidden)]
 pub use deadman::{DeadmanCall, DeadmanCalls};

@@ -3,7 +3,7 @@ use std::time::{Duration, Instant};
 
 use super::{
     short,
-    state::{Feedback, GoalState, Phase},
+    state::{Feedback, GoalState, Phase, PROGRAM_ENDED},
 };
 use crate::{message::Message, name::Name, registry::connection::Event, stop::MARKED_WITHIN};
 
@@ -87,7 +87,7 @@ impl ActionRun {
         let state = message.and_then(|message| GoalState::read(&message.payload).ok());
         let reason = match state {
             Some(state) if state.phase.is_end() || !is_marked => return self.take(state, now),
-            Some(_) => "the program that carried it out has ended",
+            Some(_) => PROGRAM_ENDED,
             None => "the robot does not know it any more",
         };
         if self.unreachable_since.is_some() {

@@ -9,7 +9,7 @@ use ciborium::Value;
 use super::{
     order::{Cancel, Order, Start},
     short,
-    state::{Feedback, GoalState, Phase},
+    state::{Feedback, GoalState, Phase, PROGRAM_ENDED},
     FEEDBACK_PER_S, KEPT_FOR, LOST_AFTER, MAX_KEPT, URGENT_END,
 };
 use crate::{
@@ -187,7 +187,7 @@ impl ActionServer {
         let is_lost = !state.phase.is_end();
         if is_lost {
             state.phase = Phase::Lost;
-            state.reason = "the program that carried it out has ended".to_owned();
+            state.reason = PROGRAM_ENDED.to_owned();
             state.ended_ms = Some(now_ms);
         }
         let goal = Goal {

@@ -4,8 +4,14 @@ use std::fmt;
 use ciborium::Value;
 use serde::{Deserialize, Serialize};
 
-use super::{cbor, short, to_payload, MAX_VALUE};
-use crate::message::payload::Payload;
+use super::{cbor, of_topic, short, to_payload, MAX_VALUE};
+use crate::{
+    message::{payload::Payload, Message},
+    name::Name,
+};
+
+/// Why a goal is lost whose program has ended.
+pub(super) const PROGRAM_ENDED: &str = "the program that carried it out has ended";
 
 /// The maximum size of a goal that is repeated in its state, in bytes.
 const MAX_GOAL: usize = 2 << 10;
@@ -64,6 +70,19 @@ pub struct GoalState {
     /// When it ended.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ended_ms: Option<u64>,
+}
+
+/// A goal of some robot.
+#[derive(Clone, Debug, PartialEq)]
+pub struct KnownGoal {
+    /// The robot that carries it out.
+    pub robot: Name,
+    /// The action.
+    pub action: String,
+    /// The id.
+    pub id: String,
+    /// The state. A goal whose program has ended is lost.
+    pub state: GoalState,
 }
 
 /// The newest news of a goal that runs.
@@ -170,6 +189,28 @@ impl GoalState {
     /// Returns the result as a payload.
     pub fn result(&self) -> Option<Payload> {
         self.result.as_ref().map(to_payload)
+    }
+}
+
+impl KnownGoal {
+    /// Returns the goal that a retained message is about. `None` if it is about something else, or the goal is forgotten.
+    pub fn of(message: &Message) -> Option<Self> {
+        let (action, id) = of_topic(message.topic.as_str())?;
+        let mut state = GoalState::read(&message.payload).ok()?;
+        let retained = message.retained.unwrap_or_default();
+        if retained.is_forgotten {
+            return None;
+        }
+        if retained.has_ended && !state.phase.is_end() {
+            state.phase = Phase::Lost;
+            PROGRAM_ENDED.clone_into(&mut state.reason);
+        }
+        Some(Self {
+            robot: message.sender.clone(),
+            action: action.to_owned(),
+            id: id.to_owned(),
+            state,
+        })
     }
 }
 

@@ -228,7 +228,7 @@ impl Options {
                 source,
             })?;
             let program = self.program_name();
-            return Robot::start(session, self.place, program, None).await;
+            return Robot::complete(session, self.place, program, None).await;
         }
         let (session, config) = self.join().await?;
         if !self.allows_name_mismatch {
@@ -241,7 +241,7 @@ impl Options {
             }
         }
         let program = self.program_name();
-        Robot::start(session, self.place, program, Some(config)).await
+        Robot::complete(session, self.place, program, Some(config)).await
     }
 
     fn program_name(&self) -> Option<Name> {

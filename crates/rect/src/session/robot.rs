@@ -95,7 +95,7 @@ pub(super) struct Inner {
 
 impl Robot {
     /// Completes the session. `router` is the configuration with which the router was reached, if there is one.
-    pub(super) async fn start(
+    pub(super) async fn complete(
         session: Session,
         place: KeySpace,
         program: Option<Name>,

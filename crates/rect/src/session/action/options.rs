@@ -1,0 +1,51 @@
+//! Defines how a program declares an action.
+use std::time::Duration;
+
+use rect_core::action::server::Rules;
+
+/// An action that a program declares with [`Robot::action`](crate::Robot::action): its name, and its rules.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ActionOptions {
+    pub(super) action: String,
+    pub(super) about: String,
+    pub(super) rules: Rules,
+}
+
+impl ActionOptions {
+    /// Describes an action of that name: 1 to 40 letters, digits, `_`, `-` and `.`.
+    pub fn new(action: &str) -> Self {
+        Self {
+            action: action.to_owned(),
+            about: String::new(),
+            rules: Rules::default(),
+        }
+    }
+
+    /// Sets the purpose of the action: at most 200 characters.
+    #[must_use]
+    pub fn about(self, about: &str) -> Self {
+        let about = about.to_owned();
+        Self { about, ..self }
+    }
+
+    /// Refuses a new goal while another one runs. Default: the new one preempts the other one, which is asked to end.
+    #[must_use]
+    pub fn refuse_when_busy(mut self) -> Self {
+        self.rules.refuses = true;
+        self
+    }
+
+    /// Cancels a goal when its client has been gone for that long: its program has ended, or its robot cannot be reached. Default: 5 s.
+    /// `None`: the goal is carried out without its client, too.
+    #[must_use]
+    pub fn lost_after(mut self, time: Option<Duration>) -> Self {
+        self.rules.lost_after = time;
+        self
+    }
+}
+
+impl From<&str> for ActionOptions {
+    fn from(action: &str) -> Self {
+        Self::new(action)
+    }
+}

@@ -1,0 +1,474 @@
+//! Starts goals at other programs, and follows them.
+use std::{
+    fmt,
+    sync::{Arc, Mutex},
+    time::{Duration, Instant},
+};
+
+use rect_core::{
+    action::{
+        self, goal_id,
+        order::{self, Order},
+        run,
+        state::{Feedback, KnownGoal, Phase},
+        to_payload, to_value,
+    },
+    message::{
+        encoding::Encoding,
+        payload::{Payload, ToPayload},
+    },
+    name::{
+        topic::{Pattern, Topic},
+        Name,
+    },
+    parameters::order::{DECLARED_WITHIN, PAUSE},
+};
+use serde::de::DeserializeOwned;
+use tokio::{
+    sync::watch,
+    task::JoinHandle,
+    time::{sleep, sleep_until},
+};
+
+use crate::{
+    error::{valid, Error},
+    session::{events::Events, robot::Robot, shared::lock, subscriber::Subscriber},
+};
+
+/// A goal that this program has [started](Robot::start) or [found](Robot::find). Dropping it does not cancel the goal.
+pub struct ActionRun {
+    followed: Arc<Followed>,
+    task: Option<JoinHandle<()>>,
+}
+
+/// Reports changes of a goal; created by [`ActionRun::changes`].
+pub struct ActionChanges(watch::Receiver<()>, Arc<Followed>);
+
+struct Followed {
+    robot: Robot,
+    target: Name,
+    action: String,
+    id: String,
+    run: Mutex<run::ActionRun>,
+    changes: watch::Sender<()>,
+}
+
+/// What is received of a goal.
+struct Received {
+    states: Subscriber<Payload>,
+    feedback: Subscriber<Payload>,
+    events: Events,
+}
+
+impl Robot {
+    /// Starts a goal of an action of `robot`, and returns as soon as it is accepted or refused, which is its end.
+    ///
+    /// ```no_run
+    /// # async fn dig(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let run = robot.start("wombat-2", "dig", rect::Json(3)).await?;
+    /// let result = run.result::<String>().await?;
+    /// # Ok(()) }
+    /// ```
+    ///
+    /// # Errors
+    /// [`Error::NoAction`] if no program of the robot has the action, [`Error::Action`] if an argument is invalid, and
+    /// [`Error::TimedOut`] or [`Error::Interrupted`] if the robot did not answer: the goal may have begun. Then start it
+    /// [again with the same id](Self::start_as), which is safe, or [find](Self::find) it. The other errors are those of
+    /// [`request`](Self::request).
+    ///
+    /// # Cancel safety
+    /// If the future is dropped after it was polled, the goal may have begun.
+    pub async fn start(
+        &self,
+        robot: impl TryInto<Name, Error: Into<Error>>,
+        action: &str,
+        goal: impl ToPayload,
+    ) -> Result<ActionRun, Error> {
+        self.start_as(&goal_id(rand::random()), robot, action, goal)
+            .await
+    }
+
+    /// Does the same as [`start`](Self::start), with an id for the goal: 1 to 40 letters, digits, `_`, `-` and `.`. A goal that is
+    /// started again with its id runs once.
+    ///
+    /// # Errors
+    /// Returns the same errors.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped after it was polled, the goal may have begun.
+    pub async fn start_as(
+        &self,
+        id: &str,
+        robot: impl TryInto<Name, Error: Into<Error>>,
+        action: &str,
+        goal: impl ToPayload,
+    ) -> Result<ActionRun, Error> {
+        let target: Name = valid(robot)?;
+        let wrong = |reason| Error::Action { reason };
+        let goal = to_value(&goal.into_payload()?.sendable()?).map_err(wrong)?;
+        let order = Order::Start(order::Start {
+            id: id.to_owned(),
+            goal,
+            by: self.program_name(),
+            feedback_per_s: None,
+        });
+        let payload = order.write();
+        Order::read(&payload).map_err(wrong)?;
+        match self.retrying().give_order(&target, action, &payload).await {
+            Ok(()) => {}
+            Err(Error::Service { payload, .. }) => {
+                let reason = payload.text().unwrap_or("the action gave no reason");
+                let refused = run::ActionRun::refused(target.clone(), reason, Instant::now());
+                let followed = Followed::new(self, target, action, id, refused);
+                return Ok(ActionRun {
+                    followed,
+                    task: None,
+                });
+            }
+            Err(error) => return Err(error),
+        }
+        self.follow(target, action, id).await
+    }
+
+    /// Returns a goal that this program or another one has started.
+    ///
+    /// # Errors
+    /// [`Error::NoGoal`] if the robot does not know it. The other errors are those of [`latest`](Self::latest).
+    ///
+    /// # Cancel safety
+    /// Dropping the future has no effect.
+    pub async fn find(
+        &self,
+        robot: impl TryInto<Name, Error: Into<Error>>,
+        action: &str,
+        id: &str,
+    ) -> Result<ActionRun, Error> {
+        let target: Name = valid(robot)?;
+        let topic = action::topic(action, id);
+        let known = self
+            .latest::<Payload>(target.clone(), topic.as_str())
+            .await?;
+        if known.is_none_or(|message| message.is_forgotten()) {
+            return Err(Error::NoGoal {
+                robot: target,
+                action: action.to_owned(),
+                goal: id.to_owned(),
+            });
+        }
+        self.follow(target, action, id).await
+    }
+
+    /// Returns the goals of all actions of `robot`, or of all robots (`None`), which have not ended or did so within the last 10 minutes,
+    /// the newest first.
+    ///
+    /// # Errors
+    /// [`Error::Closed`] if the session is closed.
+    ///
+    /// # Cancel safety
+    /// Dropping the future has no effect.
+    pub async fn goals(&self, robot: Option<&Name>) -> Result<Vec<KnownGoal>, Error> {
+        let pattern = Pattern::of(robot.cloned(), &action::topic("*", "*"))?;
+        let messages = self.list(&pattern, self.timeout).await?;
+        let mut goals: Vec<_> = messages.iter().filter_map(KnownGoal::of).collect();
+        goals.sort_by_key(|goal| std::cmp::Reverse(goal.state.began_ms));
+        Ok(goals)
+    }
+
+    async fn follow(&self, target: Name, action: &str, id: &str) -> Result<ActionRun, Error> {
+        let of_goal = |topic: String| Pattern::of(Some(target.clone()), &topic);
+        let received = Received {
+            states: self.subscribe(of_goal(action::topic(action, id))?).await?,
+            feedback: self
+                .subscribe(of_goal(action::feedback_topic(action, id))?)
+                .await?,
+            events: self.events().await?,
+        };
+        let run = run::ActionRun::new(target.clone(), Instant::now());
+        let followed = Followed::new(self, target, action, id, run);
+        let task = self.inner.runtime.spawn(followed.clone().follow(received));
+        Ok(ActionRun {
+            followed,
+            task: Some(task),
+        })
+    }
+
+    /// Gives an order to an action.
+    async fn give_order(&self, robot: &Name, action: &str, order: &Payload) -> Result<(), Error> {
+        let topic = Topic::of_action(action).ok_or_else(|| Error::Action {
+            reason: action::wrong_action(action),
+        })?;
+        let until = Instant::now() + DECLARED_WITHIN;
+        loop {
+            match self.request::<Payload>(robot, topic.clone(), order).await {
+                Ok(_) => return Ok(()),
+                // An action that was just declared may be in the catalogue before it can be reached.
+                Err(Error::NoService { .. }) => {
+                    let programs = self.programs(robot).await.unwrap_or_default();
+                    let actions = programs.iter().flat_map(|program| program.actions());
+                    let available: Vec<_> = actions.map(|(name, _)| name.to_owned()).collect();
+                    if Instant::now() >= until || !available.iter().any(|known| known == action) {
+                        return Err(Error::NoAction {
+                            robot: robot.clone(),
+                            action: action.to_owned(),
+                            available,
+                        });
+                    }
+                    sleep(PAUSE).await;
+                }
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    /// Returns the name of this program; empty if it has none.
+    fn program_name(&self) -> String {
+        let program = self.inner.program.driver().program().name.clone();
+        program.map(|name| name.to_string()).unwrap_or_default()
+    }
+}
+
+impl Followed {
+    fn new(robot: &Robot, target: Name, action: &str, id: &str, run: run::ActionRun) -> Arc<Self> {
+        Arc::new(Self {
+            robot: robot.clone(),
+            target,
+            action: action.to_owned(),
+            id: id.to_owned(),
+            run: Mutex::new(run),
+            changes: watch::Sender::new(()),
+        })
+    }
+
+    /// Follows the goal to its end, or to that of the session.
+    async fn follow(self: Arc<Self>, received: Received) {
+        self.follow_to_end(received).await;
+        self.changes.send_replace(());
+    }
+
+    async fn follow_to_end(&self, received: Received) {
+        let Received {
+            states,
+            feedback,
+            events,
+        } = received;
+        while !lock(&self.run).has_ended() {
+            let deadline = lock(&self.run).deadline();
+            let due = async {
+                match deadline {
+                    Some(deadline) => sleep_until(deadline.into()).await,
+                    None => std::future::pending().await,
+                }
+            };
+            let has_changed = tokio::select! {
+                biased;
+                message = states.next() => {
+                    let Some(message) = message else { return };
+                    lock(&self.run).on_state(&message, Instant::now())
+                }
+                message = feedback.next() => {
+                    let Some(message) = message else { return };
+                    let feedback = Feedback::read(&message.payload);
+                    feedback.is_ok_and(|feedback| {
+                        lock(&self.run).on_feedback(feedback, Instant::now());
+                        true
+                    })
+                }
+                event = events.next() => {
+                    let Some(event) = event else { return };
+                    lock(&self.run).on_event(&event, Instant::now())
+                }
+                () = due => {
+                    let asks = lock(&self.run).asks(Instant::now());
+                    asks && self.ask().await
+                }
+            };
+            if has_changed {
+                self.changes.send_replace(());
+            }
+        }
+    }
+
+    /// Asks the robot for the state.
+    async fn ask(&self) -> bool {
+        let topic = action::topic(&self.action, &self.id);
+        let answer = self
+            .robot
+            .latest::<Payload>(self.target.clone(), topic.as_str())
+            .await;
+        let mut run = lock(&self.run);
+        match answer {
+            Ok(answer) => run.on_answer(answer.as_ref(), Instant::now()),
+            Err(_) => {
+                run.on_no_answer(Instant::now());
+                false
+            }
+        }
+    }
+}
+
+impl ActionRun {
+    /// Returns the id of the goal.
+    pub fn id(&self) -> &str {
+        &self.followed.id
+    }
+
+    /// Returns the robot that carries out the goal.
+    pub fn robot(&self) -> &Name {
+        &self.followed.target
+    }
+
+    /// Returns the action.
+    pub fn action(&self) -> &str {
+        &self.followed.action
+    }
+
+    /// Returns how far the goal has come.
+    pub fn phase(&self) -> Phase {
+        lock(&self.followed.run).state().phase
+    }
+
+    /// Returns for how long the goal has been in this phase: for a goal that does not heed its cancel, how long ago that was.
+    pub fn phase_for(&self) -> Duration {
+        lock(&self.followed.run).since().elapsed()
+    }
+
+    /// Returns why the goal has ended, or is asked to; empty if that is clear.
+    pub fn reason(&self) -> String {
+        lock(&self.followed.run).state().reason.clone()
+    }
+
+    /// Returns how much is done, from 0 to 1, as its handler has said last.
+    pub fn progress(&self) -> Option<f64> {
+        lock(&self.followed.run).feedback()?.progress
+    }
+
+    /// Returns the value of the newest feedback.
+    pub fn feedback(&self) -> Option<Payload> {
+        let run = lock(&self.followed.run);
+        run.feedback().map(|feedback| to_payload(&feedback.value))
+    }
+
+    /// Returns for how long the robot has not been reachable; `None` if it is. The goal goes on meanwhile, unless the rules of its action
+    /// say otherwise.
+    pub fn unreachable_for(&self) -> Option<Duration> {
+        let since = lock(&self.followed.run).unreachable_since();
+        since.map(|since| since.elapsed())
+    }
+
+    /// Reports changes from now on: of the phase, of the feedback, and whether the robot is reachable.
+    pub fn changes(&self) -> ActionChanges {
+        ActionChanges(self.followed.changes.subscribe(), self.followed.clone())
+    }
+
+    /// Asks the handler to end. Returns when the robot has the wish; the end follows as soon as the handler heeds it.
+    ///
+    /// # Errors
+    /// Returns the errors of [`request`](Robot::request).
+    ///
+    /// # Cancel safety
+    /// If the future is dropped after it was polled, the goal may be cancelled or not.
+    pub async fn cancel(&self) -> Result<(), Error> {
+        let Followed {
+            robot,
+            target,
+            action,
+            id,
+            run,
+            ..
+        } = &*self.followed;
+        if lock(run).has_ended() {
+            return Ok(());
+        }
+        let order = Order::Cancel(order::Cancel {
+            id: id.clone(),
+            by: robot.program_name(),
+        });
+        robot
+            .urgent()
+            .give_order(target, action, &order.write())
+            .await
+    }
+
+    /// Waits for the end of the goal, and returns its result as a value. A robot that cannot be reached is no end: set a limit with
+    /// [`tokio::time::timeout`] if you do not want to wait for it.
+    ///
+    /// # Errors
+    /// [`Error::Goal`] if the goal was not reached, [`Error::Payload`] if the result does not fit `T`, and [`Error::Closed`] if the
+    /// session is closed.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, nothing is lost: the next call returns the result.
+    pub async fn result<T: DeserializeOwned>(&self) -> Result<T, Error> {
+        Ok(self.end().await?.value()?)
+    }
+
+    /// Does the same as [`result`](Self::result), and returns the payload of the result.
+    ///
+    /// # Errors
+    /// Returns the same errors.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, nothing is lost.
+    pub async fn end(&self) -> Result<Payload, Error> {
+        let mut changes = self.changes();
+        while !lock(&self.followed.run).has_ended() {
+            changes.next().await.ok_or(Error::Closed)?;
+        }
+        let run = lock(&self.followed.run);
+        let state = run.state();
+        match state.phase {
+            Phase::Done => Ok(state
+                .result()
+                .unwrap_or_else(|| Payload::new("null", Encoding::JSON))),
+            phase => Err(Error::Goal {
+                phase,
+                reason: state.reason.clone(),
+            }),
+        }
+    }
+}
+
+impl ActionChanges {
+    /// Waits until something has changed since the last call. Several changes are one. Returns `None` once the goal has ended and the
+    /// program knows that, or the session is closed.
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, no change is lost.
+    pub async fn next(&mut self) -> Option<()> {
+        let Self(changes, followed) = self;
+        if changes.has_changed().unwrap_or(false) {
+            changes.mark_unchanged();
+            return Some(());
+        }
+        let has_ended = || lock(&followed.run).has_ended() || followed.robot.is_closed();
+        if has_ended() {
+            return None;
+        }
+        changes.changed().await.ok()
+    }
+}
+
+impl Drop for ActionRun {
+    fn drop(&mut self) {
+        if let Some(task) = &self.task {
+            task.abort();
+        }
+    }
+}
+
+impl fmt::Debug for ActionChanges {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("ActionChanges").finish_non_exhaustive()
+    }
+}
+
+impl fmt::Debug for ActionRun {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("ActionRun")
+            .field("robot", self.robot())
+            .field("action", &self.action())
+            .field("id", &self.id())
+            .field("phase", &self.phase())
+            .finish_non_exhaustive()
+    }
+}
