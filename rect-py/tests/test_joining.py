@@ -136,7 +136,7 @@ def test_timeout_applies_if_nothing_listens() -> None:
     began = time.monotonic()
     with pytest.raises(rect.NoRouter, match="Connection refused") as raised:
         rect.connect("wombat-1", router=f"tcp/127.0.0.1:{free_port()}", timeout=1)
-    assert 1 <= time.monotonic() - began < 1.5
+    assert 1 <= time.monotonic() - began < 4
     assert isinstance(raised.value.__cause__, zenoh.ZError)
 
 
@@ -151,7 +151,7 @@ def test_timeout_applies_if_nothing_answers(on: Callable[[Callable[[], None]], N
             began = time.monotonic()
             with pytest.raises(rect.NoRouter, match=r"no answer within 1 s"):
                 rect.connect("wombat-1", router=endpoint, timeout=1)
-            assert 1 <= time.monotonic() - began < 1.5
+            assert 1 <= time.monotonic() - began < 4
 
         on(connect)
 
