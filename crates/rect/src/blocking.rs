@@ -13,6 +13,7 @@
 //! let volts = robot.request::<f64>("wombat-2", "battery", "")?.value;
 //! # Ok::<(), rect::Error>(())
 //! ```
+mod action;
 mod publisher;
 #[cfg(feature = "recording")]
 mod recorder;
@@ -27,6 +28,7 @@ use std::{collections::BTreeMap, sync::Arc, time::Duration};
 #[cfg(feature = "recording")]
 pub use self::recorder::RobotRecorder;
 pub use self::{
+    action::{ActionChanges, ActionRun, Goal},
     publisher::Publisher,
     runtime::Runtime,
     stop::{FleetStop, StopChanges},

@@ -1,11 +1,14 @@
-//! Tests the iterators and callbacks of the blocking API, with streams and transfers between two programs:
+//! Tests the iterators and callbacks of the blocking API, with streams, transfers and actions between two programs:
 //! `cargo test -p rect-robot --test behaviour blocking`
 use std::{
     sync::mpsc,
     time::{Duration, Instant},
 };
 
-use rect::{blocking::Robot, Options, Payload, ReceiveOptions, StreamOptions};
+use rect::{
+    blocking::{Goal, Robot},
+    Error, Json, Options, Payload, Phase, ReceiveOptions, StreamOptions,
+};
 use rect_core::storage::Content;
 
 use crate::pair::{free_endpoint, TIMEOUT};
@@ -93,4 +96,99 @@ fn callback_may_use_and_drop_the_last_robot_handle() {
         a.publish("goodbye", "").expect("published");
     }
     drop(subscription);
+}
+
+/// Digs to a depth. Depth 0 fails, and depth 13 panics.
+fn dig(goal: &Goal) -> Result<String, String> {
+    let depth: u32 = goal.payload.value().map_err(|error| error.to_string())?;
+    assert_ne!(depth, 13, "unlucky");
+    if depth == 0 {
+        return Err("there is rock".to_owned());
+    }
+    for done in 1..=depth {
+        let progress = f64::from(done) / f64::from(depth);
+        let told = goal.feedback(Json(done), Some(progress));
+        told.map_err(|error| error.to_string())?;
+        let slept = goal.sleep(RETRY_INTERVAL);
+        slept.map_err(|cancelled| cancelled.to_string())?;
+    }
+    assert!(!goal.is_cancelled());
+    Ok(format!("{depth} cm deep"))
+}
+
+#[test]
+fn action_is_carried_out_on_a_thread_and_its_result_is_waited_for() {
+    let [a, b] = two_robots();
+    let action = b.action("dig", |goal| dig(&goal)).expect("declared");
+    let run = a.start("b", "dig", Json(2)).expect("started");
+    let mut changes = run.changes();
+    while run.phase() != Phase::Done {
+        changes.next().expect("open");
+    }
+    assert_eq!(run.result::<String>(None).expect("done"), "2 cm deep");
+    for (depth, expected) in [(0, "there is rock"), (13, "panicked")] {
+        let run = a.start("b", "dig", Json(depth)).expect("started");
+        match run.end(Some(TIMEOUT)).expect_err("failed") {
+            Error::Goal { phase, reason } => {
+                assert_eq!(phase, Phase::Failed);
+                assert!(reason.contains(expected), "{reason}");
+            }
+            other => panic!("{other}"),
+        }
+    }
+    let unknown = a
+        .start("b", "fly", "")
+        .expect_err("there is no such action");
+    assert!(matches!(unknown, Error::NoAction { .. }), "{unknown}");
+    drop(action);
+}
+
+#[test]
+fn goal_is_found_and_cancelled() {
+    let [a, b] = two_robots();
+    let _action = b.action("dig", |goal| dig(&goal)).expect("declared");
+    let run = a
+        .start_as("hole", "b", "dig", Json(100_000))
+        .expect("started");
+    while run.feedback().is_none() {
+        run.changes().next().expect("open");
+    }
+    assert!(run.progress().is_some_and(|progress| progress < 0.1));
+    let waiting = run.end(Some(RETRY_INTERVAL)).expect_err("it goes on");
+    assert!(matches!(waiting, Error::TimedOut { .. }), "{waiting}");
+    assert!(waiting.to_string().contains("running"), "{waiting}");
+    let found = a.find("b", "dig", "hole").expect("known");
+    assert_eq!((found.id(), found.action()), ("hole", "dig"));
+    let goals = a.goals(None).expect("listed");
+    assert!(
+        goals.iter().any(|goal| goal.id == "hole"),
+        "{goals:?} does not contain the goal"
+    );
+    found.cancel().expect("cancelled");
+    for run in [run, found] {
+        match run.end(Some(TIMEOUT)).expect_err("cancelled") {
+            Error::Goal { phase, .. } => assert_eq!(phase, Phase::Cancelled),
+            other => panic!("{other}"),
+        }
+    }
+    let other = a.find("b", "dig", "other").expect_err("nobody started it");
+    assert!(matches!(other, Error::NoGoal { .. }), "{other}");
+}
+
+#[test]
+fn handler_ends_when_the_session_is_closed() {
+    let [a, b] = two_robots();
+    let (ended, has_ended) = mpsc::channel();
+    let _action = b.action("dig", move |goal| {
+        let result = dig(&goal);
+        let _ = ended.send(result.clone());
+        result
+    });
+    let run = a.start("b", "dig", Json(100_000)).expect("started");
+    while run.feedback().is_none() {
+        run.changes().next().expect("open");
+    }
+    b.close().expect("closed");
+    let end = has_ended.recv_timeout(TIMEOUT).expect("in time");
+    assert!(end.is_err(), "{end:?}");
 }

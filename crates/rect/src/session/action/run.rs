@@ -18,10 +18,12 @@ use rect_core::{
         payload::{Payload, ToPayload},
     },
     name::{
+        parameter::is_name,
         topic::{Pattern, Topic},
         Name,
     },
     parameters::order::{DECLARED_WITHIN, PAUSE},
+    text::humanize,
 };
 use serde::de::DeserializeOwned;
 use tokio::{
@@ -105,6 +107,9 @@ impl Robot {
     ) -> Result<ActionRun, Error> {
         let target: Name = valid(robot)?;
         let wrong = |reason| Error::Action { reason };
+        if !is_name(action) {
+            return Err(wrong(action::wrong_action(action)));
+        }
         let goal = to_value(&goal.into_payload()?.sendable()?).map_err(wrong)?;
         let order = Order::Start(order::Start {
             id: id.to_owned(),
@@ -114,6 +119,8 @@ impl Robot {
         });
         let payload = order.write();
         Order::read(&payload).map_err(wrong)?;
+        // Before the goal begins, so that its first feedback arrives.
+        let received = self.receive(&target, action, id).await?;
         match self.retrying().give_order(&target, action, &payload).await {
             Ok(()) => {}
             Err(Error::Service { payload, .. }) => {
@@ -127,7 +134,7 @@ impl Robot {
             }
             Err(error) => return Err(error),
         }
-        self.follow(target, action, id).await
+        Ok(self.follow(target, action, id, received))
     }
 
     /// Returns a goal that this program or another one has started.
@@ -155,7 +162,8 @@ impl Robot {
                 goal: id.to_owned(),
             });
         }
-        self.follow(target, action, id).await
+        let received = self.receive(&target, action, id).await?;
+        Ok(self.follow(target, action, id, received))
     }
 
     /// Returns the goals of all actions of `robot`, or of all robots (`None`), which have not ended or did so within the last 10 minutes,
@@ -174,22 +182,25 @@ impl Robot {
         Ok(goals)
     }
 
-    async fn follow(&self, target: Name, action: &str, id: &str) -> Result<ActionRun, Error> {
+    async fn receive(&self, target: &Name, action: &str, id: &str) -> Result<Received, Error> {
         let of_goal = |topic: String| Pattern::of(Some(target.clone()), &topic);
-        let received = Received {
+        Ok(Received {
             states: self.subscribe(of_goal(action::topic(action, id))?).await?,
             feedback: self
                 .subscribe(of_goal(action::feedback_topic(action, id))?)
                 .await?,
             events: self.events().await?,
-        };
+        })
+    }
+
+    fn follow(&self, target: Name, action: &str, id: &str, received: Received) -> ActionRun {
         let run = run::ActionRun::new(target.clone(), Instant::now());
         let followed = Followed::new(self, target, action, id, run);
         let task = self.inner.runtime.spawn(followed.clone().follow(received));
-        Ok(ActionRun {
+        ActionRun {
             followed,
             task: Some(task),
-        })
+        }
     }
 
     /// Gives an order to an action.
@@ -425,6 +436,31 @@ impl ActionRun {
                 reason: state.reason.clone(),
             }),
         }
+    }
+
+    /// Does the same as [`end`](Self::end), and waits at most for `timeout`.
+    ///
+    /// # Errors
+    /// [`Error::TimedOut`] if the goal has not ended in time: the error states its phase, and for how long it has been in it. The other
+    /// errors are those of [`result`](Self::result).
+    ///
+    /// # Cancel safety
+    /// If the future is dropped, nothing is lost.
+    pub async fn end_within(&self, timeout: Duration) -> Result<Payload, Error> {
+        let ended = tokio::time::timeout(timeout, self.end()).await;
+        ended.unwrap_or_else(|_| {
+            let (phase, time) = (self.phase(), humanize::duration(self.phase_for()));
+            let unreachable = self.unreachable_for().map_or_else(String::new, |time| {
+                let time = humanize::duration(time);
+                format!(", and {} has not been reachable for {time}", self.robot())
+            });
+            Err(Error::TimedOut {
+                expected: format!(
+                    "end of the goal, which has been {phase} for {time}{unreachable},"
+                ),
+                timeout,
+            })
+        })
     }
 }
 

@@ -205,7 +205,15 @@ impl Shared {
     }
 
     /// Does the work of the server until the action has ended and its last handler, too.
-    async fn serve(self: Arc<Self>, mut followed: Followed) {
+    async fn serve(self: Arc<Self>, followed: Followed) {
+        self.serve_to_end(followed).await;
+        // After the end of the session, nobody else tells them.
+        for cancel in lock(&self.running).values() {
+            cancel.send_replace(Some("the session is closed".to_owned()));
+        }
+    }
+
+    async fn serve_to_end(self: &Arc<Self>, mut followed: Followed) {
         let mut number = 0;
         loop {
             if self.is_closing.load(Ordering::Relaxed) && followed.requests.take().is_some() {
