@@ -1,7 +1,7 @@
 //! Drives the state that a program receives: waits at the router of its robot for changes, and gives the router the program's own values
 //! again after a restart.
 use std::{
-    collections::{BTreeMap, VecDeque},
+    collections::{BTreeMap, BTreeSet, VecDeque},
     time::{Duration, Instant},
 };
 
@@ -58,6 +58,8 @@ pub struct ProgramState {
     subscriptions: BTreeMap<u64, Vec<OwnedKeyExpr>>,
     next_subscription: u64,
     own: BTreeMap<Topic, Own>,
+    /// The own topics that the pages since the last question for everything did not contain.
+    missing: BTreeSet<Topic>,
     position: Option<Position>,
     /// The run of the router that answered last.
     router: Option<u32>,
@@ -85,6 +87,7 @@ impl ProgramState {
             subscriptions: BTreeMap::new(),
             next_subscription: 0,
             own: BTreeMap::new(),
+            missing: BTreeSet::new(),
             position: None,
             router: None,
             following: Following::default(),
@@ -234,6 +237,7 @@ impl ProgramState {
         for mut value in page.records {
             let robot = value.robot.get_or_insert_with(|| own.clone()).clone();
             if robot == own {
+                self.missing.remove(&value.topic);
                 self.on_own(&value, page.run);
                 value.kept = Some(Position(page.run, value.number));
             }
@@ -252,6 +256,21 @@ impl ProgramState {
             }
         }
         self.position = Some(Position(page.run, page.at));
+        if !page.more {
+            self.drop_missing(page.run, page.at);
+        }
+    }
+
+    /// Handles that a router has none of the missing topics up to that number: another program has forgotten them. An answer with
+    /// everything does not contain topics that are forgotten.
+    fn drop_missing(&mut self, run: u32, at: u64) {
+        for topic in std::mem::take(&mut self.missing) {
+            let own = self.own.get(&topic);
+            let kept = own.and_then(|own| own.value.kept);
+            if kept.is_some_and(|Position(of, number)| of == run && number <= at) {
+                self.own.remove(&topic);
+            }
+        }
     }
 
     /// Handles a value of this robot: another program may have published a topic after this one.
@@ -354,6 +373,11 @@ impl Driver for ProgramState {
         }
         if self.ask_at.is_some_and(|at| at <= now) {
             self.ask_at = None;
+            match self.position {
+                None => self.missing = self.own.keys().cloned().collect(),
+                // The question does not name the others.
+                Some(_) => self.missing.retain(|topic| self.own.contains_key(topic)),
+            }
             let question = self.question();
             self.asking = Some(self.get(&question));
             self.is_answered = false;

@@ -83,6 +83,8 @@ struct Router {
 struct Program {
     run: u32,
     state: ProgramState,
+    /// The number of its subscription, unless it has ended it.
+    subscription: Option<u64>,
     inbound: Inbound,
     /// The publication in progress, and those that follow.
     retain: Option<(Retain, Topic, Order)>,
@@ -124,6 +126,9 @@ enum Happening {
     Connect(usize, usize, u64),
     CrashProgram,
     StartProgram(usize, usize),
+    Resubscribe(usize, usize),
+    Unsubscribe(usize, usize, u64, u64),
+    Subscribe(usize, usize, u64),
     Rename,
     SetClock,
 }
@@ -209,6 +214,13 @@ impl World {
         }
         for _ in 0..4 {
             world.within(1000..60_000, Happening::SetClock);
+        }
+        // Only where each topic has one publisher: an older one can return if a router is restarted again before a program has reached it.
+        let subscriptions = if world.is_shared { 0 } else { 10 };
+        for _ in 0..subscriptions {
+            let robot = world.below(ROBOTS as u64) as usize;
+            let program = world.below(world.programs_each as u64) as usize;
+            world.within(1000..60_000, Happening::Resubscribe(robot, program));
         }
         if seed % 7 < 2 {
             for _ in 0..=seed % 7 {
@@ -322,13 +334,11 @@ impl World {
         let run = self.below(u64::from(u32::MAX)) as u32;
         let place = self.place(robot);
         let mut state = ProgramState::new(place.clone(), run, self.now);
-        let pattern = Pattern::new(PATTERNS[program]).expect("valid pattern");
-        let selected = place.subscriptions(&pattern);
-        state.subscribe(&[selected[0].key.clone()], self.now);
-        let inbound = Inbound::new(place, selected, self.now);
+        let (subscription, inbound) = subscribe(&mut state, place, program, self.now);
         let started = Program {
             run,
             state,
+            subscription: Some(subscription),
             inbound,
             retain: None,
             is_registered: false,
@@ -503,6 +513,9 @@ impl World {
 
     fn on_message(&mut self, robot: usize, number: usize, message: Message, origin: Origin) {
         let program = self.programs.get_mut(&(robot, number)).expect("it runs");
+        if program.subscription.is_none() {
+            return;
+        }
         let retained = message.retained.expect("it is retained");
         let key = (message.sender, message.topic);
         if retained.is_forgotten {
@@ -836,6 +849,19 @@ impl World {
                     self.start_program(robot, program);
                 }
             }
+            Happening::Resubscribe(robot, program) => self.resubscribe(robot, program),
+            Happening::Unsubscribe(robot, program, epoch, subscription) => {
+                let node = Node::Program(robot, program);
+                if self.epoch(node) == epoch {
+                    self.unsubscribe(robot, program, subscription);
+                }
+            }
+            Happening::Subscribe(robot, program, epoch) => {
+                let node = Node::Program(robot, program);
+                if self.epoch(node) == epoch {
+                    self.subscribe(robot, program);
+                }
+            }
             Happening::SetClock => {
                 let robot = self.below(ROBOTS as u64) as usize;
                 let time = match self.below(3) {
@@ -897,6 +923,55 @@ impl World {
             program.all.retain(|((robot, _), _)| *robot != renamed);
         }
         self.within(500..4000, Happening::StartRouter(robot));
+    }
+
+    /// Ends the subscription of a program and begins a new one: shortly before, at the same time, or later.
+    fn resubscribe(&mut self, robot: usize, number: usize) {
+        let node = Node::Program(robot, number);
+        let epoch = self.epoch(node);
+        let program = self.programs.get(&(robot, number));
+        let Some(before) = program.and_then(|program| program.subscription) else {
+            return;
+        };
+        let longest = if self.below(2) == 0 { 6 } else { 200 };
+        let gap = self.below(longest);
+        let begin = Happening::Subscribe(robot, number, epoch);
+        match self.below(2) {
+            0 => {
+                self.unsubscribe(robot, number, before);
+                self.after(ms(gap), begin, Vec::new());
+            }
+            _ => {
+                self.subscribe(robot, number);
+                let end = Happening::Unsubscribe(robot, number, epoch, before);
+                self.after(ms(gap), end, Vec::new());
+            }
+        }
+        // Again, while questions about the first one are on their way.
+        if self.below(3) > 0 {
+            self.within(0..300, Happening::Resubscribe(robot, number));
+        }
+    }
+
+    fn unsubscribe(&mut self, robot: usize, number: usize, subscription: u64) {
+        if let Some(program) = self.programs.get_mut(&(robot, number)) {
+            program.state.unsubscribe(subscription, self.now);
+            program
+                .subscription
+                .take_if(|current| *current == subscription);
+            self.poll(Node::Program(robot, number));
+        }
+    }
+
+    fn subscribe(&mut self, robot: usize, number: usize) {
+        let place = self.place(robot);
+        if let Some(program) = self.programs.get_mut(&(robot, number)) {
+            let (subscription, inbound) = subscribe(&mut program.state, place, number, self.now);
+            (program.subscription, program.inbound) = (Some(subscription), inbound);
+            program.got.clear();
+            program.all.clear();
+            self.poll(Node::Program(robot, number));
+        }
     }
 
     /// Makes a program publish one of its topics, or forget it.
@@ -1020,6 +1095,19 @@ impl World {
     }
 }
 
+/// Begins the subscription of a program.
+fn subscribe(
+    state: &mut ProgramState,
+    place: KeySpace,
+    program: usize,
+    now: Instant,
+) -> (u64, Inbound) {
+    let pattern = Pattern::new(PATTERNS[program]).expect("valid pattern");
+    let selected = place.subscriptions(&pattern);
+    let number = state.subscribe(&[selected[0].key.clone()], now);
+    (number, Inbound::new(place, selected, now))
+}
+
 /// Added to the epoch of a program for the queries of its publications.
 const RETAIN: u64 = 1 << 32;
 
@@ -1125,7 +1213,11 @@ fn actions(keeper: &mut StateKeeper, now: Instant) -> Vec<Action> {
 }
 
 /// Gives the keeper of `a` an order, and returns its reply.
-fn order(keeper: &mut StateKeeper, order: &Order, now: Instant) -> Kept {
+fn order<T: serde::de::DeserializeOwned>(
+    keeper: &mut StateKeeper,
+    order: &Order,
+    now: Instant,
+) -> T {
     let _ = keeper.on_event(
         now,
         Event::Query {
@@ -1144,7 +1236,7 @@ fn order(keeper: &mut StateKeeper, order: &Order, now: Instant) -> Kept {
         } => Some(payload),
         _ => None,
     });
-    super::page::read(&reply.expect("a reply").bytes).expect("a value is kept")
+    super::page::read(&reply.expect("a reply").bytes).expect("a valid reply")
 }
 
 /// Returns the bytes that a keeper of `a` saves when a program publishes `t1`.
@@ -1182,16 +1274,53 @@ fn value_that_waited_for_the_router_replaces_the_one_on_disk() {
     let mut keeper = keeper("a", 2, disk, now);
     let payload = Payload::new("new", Encoding::TEXT);
     let new = program.set(&topic(1), payload, Urgency::Normal, true, Sent::At(0));
-    let kept = order(&mut keeper, &new.after(Duration::from_secs(3)), now);
+    let kept: Kept = order(&mut keeper, &new.after(Duration::from_secs(3)), now);
     assert!(!kept.is_replaced);
     // A call that began before that one is too late.
     let mut other = ProgramState::new(place("a"), 8, now);
     let payload = Payload::new("late", Encoding::TEXT);
     let late = other.set(&topic(1), payload, Urgency::Normal, false, Sent::At(0));
-    let kept = order(&mut keeper, &late.after(Duration::from_secs(4)), now);
+    let kept: Kept = order(&mut keeper, &late.after(Duration::from_secs(4)), now);
     assert!(kept.is_replaced);
     let values = keeper.page(None, &[keys(&name("a"))], now, true).records;
     assert_eq!(values[0].payload, Payload::new("new", Encoding::TEXT));
+}
+
+/// The answer to the question of a subscription that has just begun does not contain topics that are forgotten.
+#[test]
+fn program_with_a_new_subscription_does_not_give_a_forgotten_value_to_a_restarted_router() {
+    let now = Instant::now();
+    let mut keeper = keeper("a", 1, Disk::Saved(None), now);
+    let mut program = ProgramState::new(place("a"), 7, now);
+    for number in [1, 2] {
+        let payload = Payload::new("value", Encoding::TEXT);
+        let set = program.set(&topic(number), payload, Urgency::Normal, false, Sent::At(0));
+        let kept = order(&mut keeper, &set, now);
+        program.on_kept(topic(number), &set, kept, now);
+    }
+    let mut other = ProgramState::new(place("a"), 8, now);
+    let _: Kept = order(&mut keeper, &other.forget(&topic(1), Sent::At(0)), now);
+    program.subscribe(&["rect/*/**".to_owned()], now);
+    let later = now + ms(2);
+    let (id, question) = loop {
+        match program.poll(later) {
+            Step::Act(Action::Get { id, get }) => break (id, get.payload.expect("a payload")),
+            Step::Act(_) => {}
+            _ => panic!("the program asks nothing"),
+        }
+    };
+    let question = super::page::read(&question.bytes).expect("an order");
+    let answer: Page = order(&mut keeper, &question, later);
+    let sample = Sample {
+        key: String::new(),
+        payload: super::page::write(&answer),
+        attachment: None,
+        is_deleted: false,
+    };
+    let reply = Ok(sample);
+    let _ = program.on_event(later, Event::Reply { id, reply });
+    let own: Vec<_> = program.own().map(|(topic, _)| topic.clone()).collect();
+    assert_eq!(own, [topic(2)]);
 }
 
 fn questions(keeper: &mut StateKeeper, now: Instant) -> Vec<(Id, String)> {
