@@ -21,6 +21,9 @@ def test_views_are_accessible(chromium: Browser, fleet: Fleet, dashboard: str, s
         for view in VIEWS:
             page.goto(f"{dashboard}/#{view}")
             expect(page.locator(".condition")).to_have_text("live")
+            # The heading of the view before is there until the browser has told the page that the address has changed.
+            heading = page.get_by_role("heading", level=1, name=view.split("/")[0])
+            expect(heading).to_be_visible()
             if view == "fleet":
                 expect(page.get_by_role("region", name="wombat-2", exact=True)).to_contain_text("ble")
             if view == "log":
