@@ -14,8 +14,13 @@ export function parameters(link, parent) {
   parent.append(h("h1", {}, "Parameters"), h("div", { class: "row" }, filter), empty, cards);
   /** The groups that were declared since the view was opened. */
   const groups = new Map();
+  let isClosed = false;
 
   const show = eachFrame(() => {
+    if (isClosed) {
+      // A group that is added now would be received for ever.
+      return;
+    }
     update(groups, link, show);
     const matches = wordFilter(filter);
     const isShown = (group, { name }) => matches(`${group.robot} ${group.program} ${group.name} ${name}`);
@@ -35,6 +40,7 @@ export function parameters(link, parent) {
   link.addEventListener("fleet", show);
   show();
   return () => {
+    isClosed = true;
     link.removeEventListener("fleet", show);
     for (const group of groups.values()) {
       group.close();
