@@ -947,7 +947,7 @@ impl World {
                 self.after(ms(gap), end, Vec::new());
             }
         }
-        // Again, while questions about the first one are on their way.
+        // Again, while questions about the first one are in flight.
         if self.below(3) > 0 {
             self.within(0..300, Happening::Resubscribe(robot, number));
         }
