@@ -6,6 +6,7 @@
 //! on `actions/<action>/<goal>/feedback`. [`server`] decides for the program that carries out goals, and [`run`] for the one that follows
 //! a goal.
 pub mod order;
+pub mod query;
 pub mod run;
 pub mod server;
 pub mod state;

@@ -16,6 +16,7 @@ use crate::{
     message::payload::Payload,
     name::{parameter::is_name, Name},
     registry::connection::Event,
+    state::retain::NO_KEEPER,
     stop::AGAIN_AFTER,
     text::humanize,
 };
@@ -318,8 +319,9 @@ impl ActionServer {
                 }
                 self.goals.remove(id);
             }
-            Err(reason) if goal.state.result.is_some() && !reason.is_empty() => {
-                // A result for which there is no room must not keep others from learning of the end.
+            Err(reason) if goal.state.result.is_some() && !reason.contains(NO_KEEPER) => {
+                // A result for which there is no room must not keep others from learning of the end. A router that is being restarted
+                // gets it later.
                 goal.state.result = None;
                 goal.state.reason = short(&format!("the robot cannot keep the result: {reason}"));
                 self.publish_again(id, now);
@@ -479,6 +481,11 @@ impl ActionServer {
             .values()
             .flat_map(|goal| [of_feedback(goal), goal.forget_at]);
         Publication::Wait(times.flatten().chain(self.publish_after).min())
+    }
+
+    /// Returns whether all goals have ended, and all of that is published.
+    pub fn is_finished(&self) -> bool {
+        self.open().is_empty() && self.unpublished.is_empty()
     }
 
     /// Returns the goals that have not ended.

@@ -18,6 +18,7 @@ use crate::{
     message::{retained::Retained, Message},
     name::Name,
     registry::connection::Event,
+    state::retain::NO_KEEPER,
     stop::MARKED_WITHIN,
     stream::simulation::Random,
 };
@@ -372,7 +373,7 @@ impl World {
                     }
                     let result = match self.give_at {
                         None => Ok(()),
-                        Some(_) => Err("no router".to_owned()),
+                        Some(_) => Err(format!("it is not retained: {NO_KEEPER}")),
                     };
                     program.server.on_published(&id, result, self.now, 0);
                 }
@@ -810,4 +811,31 @@ fn the_end_of_a_program_is_believed_when_it_was_seen_twice() {
         run.on_answer(Some(&message(true)), at);
     }
     assert_eq!(run.state().phase, Phase::Lost);
+}
+
+#[test]
+fn a_result_waits_for_a_router_that_restarts_and_is_left_out_where_there_is_no_room() {
+    for (reason, result) in [(NO_KEEPER, Some(Value::from(7))), ("no room", None)] {
+        let mut bench = Bench::new(Rules::default());
+        bench.order(1, &start("a", 1));
+        let outcome = Outcome::Done {
+            result: Value::from(7),
+            noticed: false,
+        };
+        bench.server.on_end("a", outcome, 5);
+        let Publication::State { id, .. } = bench.server.publication(bench.now) else {
+            panic!("nothing to publish");
+        };
+        let failed = Err(reason.to_owned());
+        bench.server.on_published(&id, failed, bench.now, 5);
+        assert!(!bench.server.is_finished());
+        bench.now += Duration::from_secs(10);
+        let Publication::State { payload, .. } = bench.server.publication(bench.now) else {
+            panic!("nothing to publish");
+        };
+        let state = GoalState::read(&payload).expect("a state");
+        assert_eq!((state.phase, state.result), (Phase::Done, result));
+        bench.server.on_published(&id, Ok(()), bench.now, 5);
+        assert!(bench.server.is_finished());
+    }
 }
