@@ -4,6 +4,7 @@ mod pair;
 #[path = "../timing/wire/mod.rs"]
 mod wire;
 
+mod action;
 mod blocked_link;
 mod blocking;
 mod codec;
