@@ -1,7 +1,7 @@
 //! Validates names, topics, patterns and encodings, and makes keys from them.
 use pyo3::{prelude::*, pybacked::PyBackedStr};
 use rect_core::{
-    codec,
+    action, codec,
     message::{encoding::Encoding, payload::PayloadError, urgency::Urgency},
     name::{
         key,
@@ -43,6 +43,13 @@ impl InternalTopic {
     fn of_parameters(py: Python<'_>, group: &str) -> PyResult<Self> {
         let topic = Topic::of_parameters(group).map(Self);
         topic.ok_or_else(|| raised(py, "ParameterError", (parameters::wrong_group(group),)))
+    }
+
+    /// Returns the topic at which an action is served. Raises `InvalidTopicError`.
+    #[staticmethod]
+    fn of_action(py: Python<'_>, action: &str) -> PyResult<Self> {
+        let topic = Topic::of_action(action).map(Self);
+        topic.ok_or_else(|| raised(py, "InvalidTopicError", (action::wrong_action(action),)))
     }
 
     fn __str__(&self) -> &str {

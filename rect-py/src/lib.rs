@@ -2,6 +2,7 @@
 //!
 //! Most classes wrap one type of the core, which makes all decisions and does no I/O. Only transfers and
 //! recordings also use the library's files. The sessions are part of the Python code (`python/rect/`), which uses eclipse-zenoh.
+mod action;
 mod attachment;
 mod callback;
 mod clock;
@@ -43,6 +44,10 @@ use pyo3::prelude::*;
 mod _rect {
     #[pymodule_export]
     use crate::{
+        action::{
+            goal_ended, goal_feedback_topic, goal_id, goal_to_start, goal_topic, goals_query,
+            no_action, ActionOrder, ActionRun, ActionServer, GoalMessage,
+        },
         attachment::{read_attachment, write_attachment},
         callback::{OnMessage, OnRequest},
         codec::{decode, Codec, Dictionary},
@@ -99,6 +104,7 @@ mod _rect {
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         use rect_core::{
+            action,
             message::{
                 queue::DEFAULT_CAPACITY,
                 request::{DEFAULT_TIMEOUT_MS, SHARED_REPLY},
@@ -112,6 +118,7 @@ mod _rect {
             stop,
         };
         use rect_recording::{answer, recorder, report};
+        module.add("ACTION_LOST_AFTER_S", action::LOST_AFTER.as_secs_f64())?;
         module.add("ADD", named_connection::ADD)?;
         module.add("DEFAULT_CAPACITY", DEFAULT_CAPACITY)?;
         module.add("DEFAULT_TIMEOUT_S", f64::from(DEFAULT_TIMEOUT_MS) / 1000.0)?;

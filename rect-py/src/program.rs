@@ -41,12 +41,13 @@ pub struct OfferedService {
 type EntryParts = (String, String, bool);
 /// The name of a group of parameters and its declaration.
 type GroupParts<'py> = (String, Vec<ParameterParts<'py>>);
-/// The name of a program, its instance, its services and its groups of parameters.
+/// The name of a program, its instance, its services, its groups of parameters, and its actions with their descriptions.
 type ProgramParts<'py> = (
     Option<String>,
     String,
     Vec<EntryParts>,
     Vec<GroupParts<'py>>,
+    Vec<(String, String)>,
 );
 
 #[pymethods]
@@ -171,7 +172,16 @@ pub fn read_catalogue<'py>(py: Python<'py>, bytes: &[u8]) -> PyResult<Vec<Progra
             Ok((group.to_owned(), declaration_parts(py, declaration)?))
         });
         let groups = groups.collect::<PyResult<_>>()?;
-        Ok((name, program.instance.to_string(), services, groups))
+        let actions = program.actions();
+        let actions = actions.map(|(action, about)| (action.to_owned(), about.to_owned()));
+        let actions = actions.collect();
+        Ok((
+            name,
+            program.instance.to_string(),
+            services,
+            groups,
+            actions,
+        ))
     });
     programs.collect()
 }

@@ -12,6 +12,8 @@
 """
 
 from rect._rect import Codec, Dictionary, __version__
+from rect.action import Action, Goal
+from rect.action_run import ActionRun, Feedback, KnownGoal
 from rect.alert import Alert
 from rect.choices import (
     Confirmation,
@@ -19,13 +21,17 @@ from rect.choices import (
     EventKind,
     Level,
     LossyFormat,
+    Phase,
     PixelFormat,
     StreamMode,
     Urgency,
+    WhenBusy,
     WhenFull,
 )
 from rect.deadman import Deadman
 from rect.errors import (
+    ActionError,
+    Cancelled,
     Closed,
     CodecError,
     DictionaryError,
@@ -35,6 +41,8 @@ from rect.errors import (
     InvalidTopicError,
     LoginRefused,
     MismatchError,
+    NoAction,
+    NoGoal,
     NoParameters,
     NoRouter,
     NoService,
@@ -77,8 +85,12 @@ from rect.transfer import OutgoingTransfer, Progress, Received, Transfers
 from rect.values import Cbor, Payload, Picture
 
 __all__ = [
+    "Action",
+    "ActionError",
+    "ActionRun",
     "Alert",
     "Bool",
+    "Cancelled",
     "Cbor",
     "Choice",
     "Closed",
@@ -95,15 +107,18 @@ __all__ = [
     "Event",
     "EventKind",
     "Events",
+    "Feedback",
     "FileError",
     "FleetStop",
     "Frame",
     "Gathered",
+    "Goal",
     "GroupOptions",
     "Integer",
     "Interrupted",
     "InvalidNameError",
     "InvalidTopicError",
+    "KnownGoal",
     "Level",
     "LinkLane",
     "LinkPath",
@@ -114,6 +129,8 @@ __all__ = [
     "LossyFormat",
     "Message",
     "MismatchError",
+    "NoAction",
+    "NoGoal",
     "NoParameters",
     "NoRouter",
     "NoService",
@@ -132,6 +149,7 @@ __all__ = [
     "Payload",
     "PayloadError",
     "Peer",
+    "Phase",
     "Picture",
     "PixelFormat",
     "Program",
@@ -170,6 +188,7 @@ __all__ = [
     "Transfers",
     "Urgency",
     "Watcher",
+    "WhenBusy",
     "WhenFull",
     "WrongRobot",
     "ZenohError",

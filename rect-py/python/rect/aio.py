@@ -21,11 +21,14 @@ from typing import Any, Generic, TypeVar, overload
 
 import zenoh as stock
 
-from rect import _rect
+from rect import _rect, action_run
 from rect import robot as blocking
+from rect.action import ActionExecutor
+from rect.action_run import Feedback, Following, KnownGoal, Types
+from rect.aio_action import Action, AsyncRun, Goal
 from rect.aio_safety import Deadman, FleetStop
 from rect.alert import Alert
-from rect.choices import Level, Urgency, WhenFull
+from rect.choices import Level, Urgency, WhenBusy, WhenFull
 from rect.deadline import Deadline
 from rect.deadman import DeadmanExecutor
 from rect.errors import CodecError, TimedOut
@@ -44,7 +47,7 @@ from rect.receive_queue import DEFAULT_CAPACITY, Ended
 from rect.registry import Connections
 from rect.reply import Gathered, Reply
 from rect.request import Replies as BlockingReplies
-from rect.robot import DEFAULT_TIMEOUT, CodecLike
+from rect.robot import DEFAULT_TIMEOUT, LOST_AFTER, CodecLike
 from rect.service import Request, Requests
 from rect.state import Retain
 from rect.stop import executor_of as stop_executor_of
@@ -61,12 +64,17 @@ from rect.values import codec_of, payload_of
 H = TypeVar("H", bound="_Handle")
 _LOG = logging.getLogger("rect")
 Handler = Callable[[Request[Any]], Any]
+GoalHandler = Callable[[Goal[Any]], Any]
 
 __all__ = [
+    "Action",
+    "ActionRun",
     "Connecting",
     "Deadman",
     "Events",
     "FleetStop",
+    "Goal",
+    "GoalHandler",
     "Handler",
     "ParameterGroup",
     "Publisher",
@@ -424,6 +432,106 @@ class Robot:
         return await asyncio.to_thread(
             lambda: self._robot.set_parameters(robot, group, values, reset=reset, stored=stored)
         )
+
+    @overload
+    def action(
+        self,
+        name: str,
+        *,
+        about: str | None = None,
+        when_busy: WhenBusy = "preempt",
+        lost_after: float | None = LOST_AFTER,
+    ) -> Callable[[GoalHandler], Action]: ...
+    @overload
+    def action(
+        self,
+        name: str,
+        handler: GoalHandler,
+        *,
+        about: str | None = None,
+        when_busy: WhenBusy = "preempt",
+        lost_after: float | None = LOST_AFTER,
+    ) -> Action: ...
+    def action(
+        self,
+        name: str,
+        handler: GoalHandler | None = None,
+        *,
+        about: str | None = None,
+        when_busy: WhenBusy = "preempt",
+        lost_after: float | None = LOST_AFTER,
+    ) -> Action | Callable[[GoalHandler], Action]:
+        """Declares an action; see `rect.Robot.action`. The handler runs in the event loop, and `await goal.sleep(1)`
+        raises `rect.Cancelled` when it should end."""
+        if handler is None:
+            options: dict[str, Any] = {"about": about, "when_busy": when_busy, "lost_after": lost_after}
+            return lambda handler: self.action(name, handler, **options)
+        executor = ActionExecutor(self._session, name, handler, about, when_busy, lost_after)
+        return Action(self.begin, executor, handler)
+
+    @overload
+    async def start(
+        self,
+        robot: str,
+        action: str,
+        goal: Any = None,
+        *,
+        id: str | None = None,
+        returns: type[T],
+        feedback: Any = None,
+        feedback_per_s: float | None = None,
+        timeout: float = DEFAULT_TIMEOUT,
+    ) -> ActionRun[T]: ...
+    @overload
+    async def start(
+        self,
+        robot: str,
+        action: str,
+        goal: Any = None,
+        *,
+        id: str | None = None,
+        returns: Any = None,
+        feedback: Any = None,
+        feedback_per_s: float | None = None,
+        timeout: float = DEFAULT_TIMEOUT,
+    ) -> ActionRun[Any]: ...
+    async def start(
+        self,
+        robot: str,
+        action: str,
+        goal: Any = None,
+        *,
+        id: str | None = None,
+        returns: Any = None,
+        feedback: Any = None,
+        feedback_per_s: float | None = None,
+        timeout: float = DEFAULT_TIMEOUT,
+    ) -> ActionRun[Any]:
+        """Starts a goal of an action of `robot`; see `rect.Robot.start`.
+
+        If the task is cancelled, the goal may have begun.
+        """
+        arguments = (robot, action, goal, id, feedback_per_s, timeout, Types(returns, feedback))
+        return ActionRun(self, await asyncio.to_thread(action_run.start, self._session, *arguments))
+
+    @overload
+    async def find(
+        self, robot: str, action: str, id: str, *, returns: type[T], feedback: Any = None
+    ) -> ActionRun[T]: ...
+    @overload
+    async def find(
+        self, robot: str, action: str, id: str, *, returns: Any = None, feedback: Any = None
+    ) -> ActionRun[Any]: ...
+    async def find(
+        self, robot: str, action: str, id: str, *, returns: Any = None, feedback: Any = None
+    ) -> ActionRun[Any]:
+        """Returns a goal that this program or another one has started; see `rect.Robot.find`."""
+        types = Types(returns, feedback)
+        return ActionRun(self, await asyncio.to_thread(action_run.find, self._session, robot, action, id, types))
+
+    async def goals(self, robot: str = "*") -> list[KnownGoal]:
+        """Returns the goals that a robot, or all robots (`*`), know; see `rect.Robot.goals`."""
+        return await asyncio.to_thread(self._robot.goals, robot)
 
     async def deadman(
         self,
@@ -934,6 +1042,31 @@ class ParameterGroup(BlockingParameterGroup):
         return callback
 
     async def __aenter__(self) -> ParameterGroup:
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self.close()
+
+
+class ActionRun(AsyncRun[T]):
+    """A goal that this program has started or found; see `rect.ActionRun`.
+
+    `async for feedback in run` iterates over the feedback until the goal ends.
+    """
+
+    def __init__(self, robot: Robot, following: Following) -> None:
+        super().__init__(following)
+        self._robot = robot
+
+    def on_feedback(self, callback: Callable[[Feedback], object]) -> Subscription[Feedback]:
+        """Calls `callback` with each `Feedback` in the event loop; see `rect.ActionRun.on_feedback`."""
+        if not callable(callback):
+            raise TypeError(f"callback must be a function, not {type(callback).__name__}")
+        feed = self._following.feed(self)
+        source = _Source(feed, "feedback", feed.queue.pop_async)
+        return Subscription(self._robot, source, callback, f"feedback of {self.action}")
+
+    async def __aenter__(self) -> ActionRun[T]:
         return self
 
     async def __aexit__(self, *_: object) -> None:

@@ -55,3 +55,19 @@ Confirmation = Literal["confirmed", "waiting", "ended"]
 """How far a robot has followed a stop of the fleet, or its release: `confirmed` knows all stops and releases that this
 program knows, `waiting` takes part and has not confirmed, and `ended` is a robot whose program that took part has
 ended."""
+
+Phase = Literal["waiting", "running", "cancelling", "done", "refused", "failed", "cancelled", "preempted", "lost"]
+"""How far a goal of an action has come:
+
+- `waiting` for the end of another goal, `running`, or `cancelling`: still running, and asked to end;
+- `done`: carried out;
+- `refused`: not accepted, so that it never began;
+- `failed`: the handler has raised an exception;
+- `cancelled`: somebody has cancelled it, its client has ended, or the fleet is stopped;
+- `preempted`: a newer goal has taken its place;
+- `lost`: the program that carried it out has ended, so that nobody knows how far it came.
+"""
+
+WhenBusy = Literal["preempt", "refuse"]
+"""The rule for a new goal while another one runs: `preempt` asks the other one to end and begins the new one then,
+and `refuse` does not accept the new one."""

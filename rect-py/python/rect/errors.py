@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rect import _rect
+
+if TYPE_CHECKING:
+    from rect.choices import Phase
 
 
 class RectError(Exception):
@@ -124,6 +127,8 @@ class NotRetained(RectError, ValueError):
         super().__init__(f"{topic} is not retained: {reason}")
         #: Topic of the message.
         self.topic = topic
+        #: Why it is not retained.
+        self.reason = reason
 
 
 class NoService(RectError, LookupError):
@@ -158,6 +163,60 @@ class NoParameters(RectError, LookupError):
         self.group = group
         #: Names of the groups that the robot has.
         self.available = available
+
+
+class NoAction(RectError, LookupError):
+    """No program of the robot has the action. Is its program running?
+
+    A robot that was configured by an earlier version lacks the rule for `@rect/@set/actions/**` in its access control.
+    """
+
+    def __init__(self, robot: str, action: str, available: list[str]) -> None:
+        super().__init__(_rect.no_action(robot, action, available))
+        #: Name of the robot.
+        self.robot = robot
+        #: Name of the action.
+        self.action = action
+        #: Names of the actions that the robot has.
+        self.available = available
+
+
+class NoGoal(RectError, LookupError):
+    """The robot does not know the goal: it never began, or ended more than ten minutes ago."""
+
+    def __init__(self, robot: str, action: str, goal: str) -> None:
+        super().__init__(
+            f"{robot} does not know the goal {goal} of the action {action}: it never began, or ended more than 10 "
+            "minutes ago"
+        )
+        #: Name of the robot.
+        self.robot = robot
+        #: Name of the action.
+        self.action = action
+        #: Id of the goal.
+        self.goal = goal
+
+
+class ActionError(RectError):
+    """A goal was not carried out, or not to its end: `phase` and `reason` say how it ended."""
+
+    def __init__(self, phase: Phase, reason: str, result: Any = None) -> None:
+        super().__init__(_rect.goal_ended(phase, reason))
+        #: How the goal has ended: `refused`, `failed`, `cancelled`, `preempted` or `lost`.
+        self.phase: Phase = phase
+        #: Why; empty if that is clear.
+        self.reason = reason
+        #: The result that the handler has returned although it was asked to end; `None` if there is none.
+        self.result = result
+
+
+class Cancelled(RectError):
+    """The handler of an action should end. Raised by `Goal.sleep` and `Goal.check`."""
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(f"cancelled: {reason}")
+        #: Why.
+        self.reason = reason
 
 
 class NotStored(RectError):

@@ -41,6 +41,8 @@ class Program:
     services: tuple[ServiceEntry, ...]
     #: The parameters of each of its groups, by their names.
     parameters: dict[str, dict[str, Parameter]] = field(default_factory=dict, hash=False)
+    #: The descriptions of its actions, by their names.
+    actions: dict[str, str] = field(default_factory=dict, hash=False)
 
 
 def name_of_script() -> str | None:
@@ -63,8 +65,9 @@ def programs_of(session: Session, robot: str) -> list[Program]:
             instance,
             tuple(ServiceEntry(*parts) for parts in services),
             {group: parameters_of(parameters) for group, parameters in groups},
+            dict(actions),
         )
-        for name, instance, services, groups in _rect.read_catalogue(catalogue)
+        for name, instance, services, groups, actions in _rect.read_catalogue(catalogue)
     ]
 
 

@@ -254,7 +254,7 @@ class RetriedRequest(Generic[T]):
         self,
         session: Session,
         robot: str,
-        topic: str,
+        topic: str | _rect.InternalTopic,
         payload: Payload,
         urgency: str,
         timeout: float,
@@ -262,7 +262,7 @@ class RetriedRequest(Generic[T]):
     ) -> None:
         self._session = session
         self._converter = converter
-        self._asked = robot, topic
+        self._asked = robot, str(topic)
         self._timeout = timeout
         self._deadline = time.monotonic() + timeout
         self._inquiry = _rect.Inquiry(session.key_space, robot, topic, timeout, session.program.request_ids, False)

@@ -9,10 +9,12 @@ from typing import Any, Union, overload
 
 import zenoh
 
-from rect import _rect, advice, registry
+from rect import _rect, action_run, advice, registry
 from rect import log as program_log
+from rect.action import Action, ActionExecutor, Goal
+from rect.action_run import ActionRun, KnownGoal, Types
 from rect.alert import Alert, alerts, clear_alert, raise_alert
-from rect.choices import Level, LossyFormat, StreamMode, Urgency, WhenFull
+from rect.choices import Level, LossyFormat, StreamMode, Urgency, WhenBusy, WhenFull
 from rect.deadman import Deadman, DeadmanExecutor
 from rect.errors import OptionError
 from rect.events import Counters, Event, Events
@@ -43,10 +45,14 @@ from rect.values import codec_of, payload_of
 #: Default timeout of a request, in seconds.
 DEFAULT_TIMEOUT: float = _rect.DEFAULT_TIMEOUT_S
 
+#: Default time for which the client of a goal has to be unreachable until the goal is cancelled, in seconds.
+LOST_AFTER: float = _rect.ACTION_LOST_AFTER_S
+
 #: Default maximum size of a transfer that is accepted, in bytes.
 DEFAULT_MAX_BYTES = 64 << 20
 
 Handler = Callable[[Request[Any]], Any]
+GoalHandler = Callable[[Goal[Any]], Any]
 CodecLike = Union[str, _rect.Codec, None]
 
 
@@ -753,7 +759,8 @@ class Robot:
 
         Returns those that the call names, with the values that are in force now. Access control may permit it to some
         only (`@rect/@set/parameters/**`). An order that ends without a reply in the first second, for example because
-        the program has just begun, is sent again, which is safe: one that is carried out twice leaves the same values.
+        the program has just begun, is sent again: one that is carried out twice leaves the same values, unless somebody
+        else changes them in between.
 
         - `values`, and keywords: the new values, by the names of the parameters.
         - `reset`: a list of the parameters that get their defaults, or `True` for all except for those that are
@@ -774,6 +781,153 @@ class Robot:
         self._session.check()
         asked = text("robot", robot), text("group", group)
         return set_parameters(self._session, *asked, {**(values or {}), **more}, reset, stored)
+
+    @overload
+    def action(
+        self,
+        name: str,
+        *,
+        about: str | None = None,
+        when_busy: WhenBusy = "preempt",
+        lost_after: float | None = LOST_AFTER,
+    ) -> Callable[[GoalHandler], Action]: ...
+    @overload
+    def action(
+        self,
+        name: str,
+        handler: GoalHandler,
+        *,
+        about: str | None = None,
+        when_busy: WhenBusy = "preempt",
+        lost_after: float | None = LOST_AFTER,
+    ) -> Action: ...
+    def action(
+        self,
+        name: str,
+        handler: GoalHandler | None = None,
+        *,
+        about: str | None = None,
+        when_busy: WhenBusy = "preempt",
+        lost_after: float | None = LOST_AFTER,
+    ) -> Action | Callable[[GoalHandler], Action]:
+        """Declares an action: a task that takes a while, with progress, cancel and one end.
+
+        `handler` is called with each `Goal`, on a thread of its own, for one goal at a time. It returns the
+        result. If it raises an exception, the goal has failed, with the text of the exception as the reason; the
+        exception is logged unless it is a `Refusal` or a `RectError`. The handler should end soon after
+        `goal.cancelled` has become true; `goal.sleep` raises `Cancelled` then. Without `handler`, this method is a
+        decorator:
+
+        >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
+        ...     @robot.action("dig")
+        ...     def dig(goal):
+        ...         for scoop in range(goal.value):
+        ...             goal.feedback(f"scoop {scoop + 1}", progress=(scoop + 1) / goal.value)
+        ...             goal.sleep(0.01)
+        ...         return "dug"
+        ...     robot.start("wombat-1", "dig", 3).result(timeout=20)
+        'dug'
+
+        A handler whose parameter is annotated with `rect.Goal[Target]` receives values of the type `Target` (see
+        `subscribe`). A goal with another value is refused with an error that names the field.
+
+        - `name`: 1 to 40 letters, digits, `_`, `-` and `.`.
+        - `about`: what the action does, for `rect action list` and the dashboard. Default: the first line of the
+          handler's docstring.
+        - `when_busy`: whether a new goal preempts (`"preempt"`, the default) the one that runs, which is asked to end
+          first, or is refused (`"refuse"`).
+        - `lost_after`: how long the client of a goal has to be unreachable until the goal is cancelled, in seconds: its
+          program has ended, or its robot cannot be reached. Default: 5. `None`: never.
+
+        A stop of the fleet (`fleet_stop`) cancels all goals, and new ones are refused until it is released.
+
+        Raises `ServiceRefused` if another program of this robot has an action of that name, `InvalidTopicError` if the
+        name is invalid, `OptionError`, `Closed`, and `TypeError` if values cannot be converted to the type.
+        """
+        if handler is None:
+            options: dict[str, Any] = {"about": about, "when_busy": when_busy, "lost_after": lost_after}
+            return lambda handler: self.action(name, handler, **options)
+        return Action(ActionExecutor(self._session, name, handler, about, when_busy, lost_after), handler)
+
+    @overload
+    def start(
+        self,
+        robot: str,
+        action: str,
+        goal: Any = None,
+        *,
+        id: str | None = None,
+        returns: type[T],
+        feedback: Any = None,
+        feedback_per_s: float | None = None,
+        timeout: float = DEFAULT_TIMEOUT,
+    ) -> ActionRun[T]: ...
+    @overload
+    def start(
+        self,
+        robot: str,
+        action: str,
+        goal: Any = None,
+        *,
+        id: str | None = None,
+        returns: Any = None,
+        feedback: Any = None,
+        feedback_per_s: float | None = None,
+        timeout: float = DEFAULT_TIMEOUT,
+    ) -> ActionRun[Any]: ...
+    def start(
+        self,
+        robot: str,
+        action: str,
+        goal: Any = None,
+        *,
+        id: str | None = None,
+        returns: Any = None,
+        feedback: Any = None,
+        feedback_per_s: float | None = None,
+        timeout: float = DEFAULT_TIMEOUT,
+    ) -> ActionRun[Any]:
+        """Starts a goal of an action of `robot`, and returns as soon as it is accepted or refused, which is its end.
+
+        - `goal`: any value that `publish` accepts, of at most 48 kB. Default: none.
+        - `id`: id of the goal, 1 to 40 letters, digits, `_`, `-` and `.`. Default: a random one. A goal that is started
+          again with the same id runs once.
+        - `returns`, `feedback`: types of the result and of the values of feedback; see `subscribe`. Default: any value.
+        - `feedback_per_s`: how often feedback is sent at most, per second, 0.1 to 50. Default: 10.
+        - `timeout`: how long the robot may take to accept the goal, in seconds. Default: 10.
+
+        Raises `NoAction` if no program of the robot has the action, `TimedOut` or `Interrupted` if the robot did not
+        answer: the goal may have begun, and it is safe to start it again with the same id, or to `find` it;
+        `InvalidNameError`, `InvalidTopicError`, `OptionError`, `PayloadError` and `Closed`.
+        """
+        types = Types(returns, feedback)
+        return ActionRun(action_run.start(self._session, robot, action, goal, id, feedback_per_s, timeout, types))
+
+    @overload
+    def find(self, robot: str, action: str, id: str, *, returns: type[T], feedback: Any = None) -> ActionRun[T]: ...
+    @overload
+    def find(
+        self, robot: str, action: str, id: str, *, returns: Any = None, feedback: Any = None
+    ) -> ActionRun[Any]: ...
+    def find(self, robot: str, action: str, id: str, *, returns: Any = None, feedback: Any = None) -> ActionRun[Any]:
+        """Returns a goal that this program or another one has started, such as an earlier run of this program.
+
+        `returns` and `feedback`: see `start`.
+
+        Raises `NoGoal` if the robot does not know the goal, `NotReachable`, `TimedOut` if the robot does not answer
+        within 5 s, `InvalidTopicError`, `InvalidNameError` and `Closed`.
+        """
+        return ActionRun(action_run.find(self._session, robot, action, id, Types(returns, feedback)))
+
+    def goals(self, robot: str = "*") -> list[KnownGoal]:
+        """Returns the goals that a robot, or all robots (`*`), know: those that have not ended, and of each action the
+        16 that have ended last, for 10 minutes.
+
+        A robot that is not reachable, or does not answer within 5 s, is left out.
+
+        Raises `InvalidNameError` and `Closed`.
+        """
+        return action_run.goals(self._session, robot)
 
     @overload
     def deadman(

@@ -399,8 +399,10 @@ class Service:
                 self._idle += 1
 
 
-def request_converter(handler: Callable[..., Any]) -> Converter[Any] | None:
+def request_converter(handler: Callable[..., Any], generic: type = Request) -> Converter[Any] | None:
     """Returns the converter to the type that a handler states: `Grab` for the parameter `request: rect.Request[Grab]`.
+
+    `generic`: the class of the parameter, or a base of it.
 
     Raises `TypeError` if there is no such type, or values cannot be converted to it.
     """
@@ -411,7 +413,7 @@ def request_converter(handler: Callable[..., Any]) -> Converter[Any] | None:
         return None
     stated: Any = None if first is None or first.annotation is first.empty else first.annotation
     if isinstance(stated, str):
-        if "Request[" not in stated:
+        if "[" not in stated:
             return None
         function = inspect.unwrap(handler)
         names = getattr(function, "__globals__", None) or getattr(type(handler).__call__, "__globals__", {})
@@ -423,7 +425,9 @@ def request_converter(handler: Callable[..., Any]) -> Converter[Any] | None:
                 f"the type {stated} of the handler cannot be resolved: {error}. Define the classes outside of functions"
             )
             raise TypeError(text) from None
-    return converter_of(typing.get_args(stated)[0]) if typing.get_origin(stated) is Request else None
+    origin = typing.get_origin(stated)
+    is_generic = isinstance(origin, type) and issubclass(origin, generic)
+    return converter_of(typing.get_args(stated)[0]) if is_generic else None
 
 
 def error_text(error: BaseException) -> str:
