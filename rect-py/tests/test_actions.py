@@ -422,9 +422,11 @@ def test_goal_result_and_feedback_have_types(robots: Robots) -> None:
 
 def test_wrong_arguments_are_refused(robots: Robots) -> None:
     server, wrong = robots.server, "must|cannot|has 1 to 40"
-    for options in ({"when_busy": "queue"}, {"lost_after": -1}):
-        with pytest.raises(rect.OptionError, match=wrong):
-            server.action("wrong", Handler().sleep, **options)  # type: ignore[arg-type]
+    queue: Any = "queue"
+    with pytest.raises(rect.OptionError, match=wrong):
+        server.action("wrong", Handler().sleep, when_busy=queue)
+    with pytest.raises(rect.OptionError, match=wrong):
+        server.action("wrong", Handler().sleep, lost_after=-1)
     with pytest.raises(rect.InvalidTopicError, match="cannot be the name of an action"):
         server.action("a/b", Handler().sleep)
     number: Any = 3
