@@ -144,7 +144,9 @@ impl DeadmanSwitch {
 
 /// Returns the kind of an event, and the robot that it is about.
 pub fn kind_and_robot(event: &Bound<'_, PyTuple>) -> PyResult<(String, Option<Name>)> {
-    let robot: Option<String> = event.get_item(1)?.extract()?;
+    // Events of the router have no robot.
+    let robot = event.get_item(1).and_then(|robot| robot.extract());
+    let robot: Option<String> = robot.unwrap_or_default();
     let robot = robot.and_then(|robot| Name::new(&robot).ok());
     Ok((event.get_item(0)?.extract()?, robot))
 }

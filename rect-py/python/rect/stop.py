@@ -231,9 +231,9 @@ class StopExecutor:
             changes.queue.push(True)
 
     def _on_event(self, event: tuple[Any, ...]) -> None:
-        kind, robot = event[:2]
-        if kind == "program_down":
-            timer = threading.Timer(_rect.STOP_MARKED_WITHIN_S, self._ask_soon, (robot,))
+        # Events of the router name no robot.
+        if event[0] == "program_down":
+            timer = threading.Timer(_rect.STOP_MARKED_WITHIN_S, self._ask_soon, (event[1],))
             timer.daemon = True
             timer.start()
         elif self.core.on_event(event):
