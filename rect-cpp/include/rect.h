@@ -109,6 +109,17 @@ typedef enum rect_code {
     RECT_CODE_NO_PARAMETERS = 30,
     // The values of parameters are in force, but are lost when the program of the robot ends. The text states why.
     RECT_CODE_NOT_STORED = 31,
+    // An action cannot be declared, or an argument of a goal is invalid. The text states why.
+    RECT_CODE_ACTION = 32,
+    // No program of the robot has the action. The text lists its actions. Check that the program is running. A robot that was configured
+    // by an earlier version lacks the rule for `@rect/@set/actions/**` in its access control.
+    RECT_CODE_NO_ACTION = 33,
+    // The robot does not know the goal: it never began, or ended more than ten minutes ago.
+    RECT_CODE_NO_GOAL = 34,
+    // A goal was not carried out, or not to its end. The text states how it ended, and why.
+    RECT_CODE_GOAL = 35,
+    // The goal was cancelled while the function that carries it out was sleeping. It should end soon.
+    RECT_CODE_CANCELLED = 36,
 } rect_code;
 
 // The state of a connection.
@@ -256,6 +267,28 @@ typedef enum rect_level {
     RECT_LEVEL_ERROR = 3,
 } rect_level;
 
+// How far a goal has come.
+typedef enum rect_phase {
+    // It waits for the end of another goal.
+    RECT_PHASE_WAITING = 0,
+    // It is being carried out.
+    RECT_PHASE_RUNNING = 1,
+    // It is being carried out, and was asked to end.
+    RECT_PHASE_CANCELLING = 2,
+    // It was carried out. This and the following ones are the ends.
+    RECT_PHASE_DONE = 3,
+    // It was not accepted, and never began.
+    RECT_PHASE_REFUSED = 4,
+    // Its program has failed at it.
+    RECT_PHASE_FAILED = 5,
+    // Somebody has cancelled it.
+    RECT_PHASE_CANCELLED = 6,
+    // A newer goal has taken its place.
+    RECT_PHASE_PREEMPTED = 7,
+    // The program that carried it out has ended, so that nobody knows how far it came.
+    RECT_PHASE_LOST = 8,
+} rect_phase;
+
 // A handle of a program's session, through which it communicates as one robot of the fleet. Release it with
 // `rect_drop(&robot.id, ..)`.
 //
@@ -266,16 +299,16 @@ typedef struct rect_robot {
     uint64_t id;
 } rect_robot;
 
-// The reason why a call failed.
-//
-// Almost every function that can fail takes a pointer to one, which may be NULL. The function writes to it if the call fails
-// and leaves it unchanged otherwise. It owns no memory and is not dropped. `rect_error_cause` returns the causes.
-typedef struct rect_error {
-    // The code that the call also returned.
-    enum rect_code code;
-    // A description for people: one line of UTF-8 with a terminating zero byte. Longer texts are truncated.
-    char text[RECT_ERROR_BYTES];
-} rect_error;
+// The rules of an action. `rect_action_options options = {0};` are the defaults, and so is NULL.
+typedef struct rect_action_options {
+    // The purpose of the action: at most 200 characters. NULL: nothing.
+    const char *about;
+    // Whether a new goal is refused while another one runs. Otherwise it preempts the other one, which is asked to end.
+    bool refuse_when_busy;
+    // How long the client of a goal has to be gone until the goal is cancelled, in milliseconds: its program has ended, or its robot
+    // cannot be reached. 0: 5 s. `RECT_FOREVER`: the goal is carried out without its client, too.
+    uint32_t lost_after_ms;
+} rect_action_options;
 
 // A text with its length: UTF-8 without a terminating zero byte. To print it:
 // `printf("%.*s", (int)text.len, (const char *)text.data)`.
@@ -300,6 +333,152 @@ typedef struct rect_payload {
     // The encoding, e.g. `application/json`. If it is empty, the payload is arbitrary bytes (`zenoh/bytes`).
     struct rect_text encoding;
 } rect_payload;
+
+// A goal that a callback carries out. It is valid until the callback returns.
+typedef struct rect_goal {
+    // The handle, for the functions of the goal.
+    uint64_t id;
+    // The id of the goal, which its client has chosen.
+    struct rect_text goal_id;
+    // The program that has started it: `<robot>/<program>`. The name is not verified: do not base permissions on it.
+    struct rect_text by;
+    // The goal itself: text, JSON or bytes. Empty if its client has given none.
+    struct rect_payload payload;
+} rect_goal;
+
+// A callback that carries out a goal. The goal is valid until the callback returns.
+typedef void (*rect_on_goal)(const struct rect_goal *goal, void *context);
+
+// Called once with a callback's `context` when the callback will not be called any more, even if the function that the
+// callback was passed to fails. May be NULL.
+typedef void (*rect_release)(void *context);
+
+// An action of this program. `rect_drop(&action.id, ..)` ends it: its goals are cancelled, no further ones begin, and it waits for a call
+// in progress. A callback may drop its own action.
+typedef struct rect_action {
+    // The handle.
+    uint64_t id;
+} rect_action;
+
+// The reason why a call failed.
+//
+// Almost every function that can fail takes a pointer to one, which may be NULL. The function writes to it if the call fails
+// and leaves it unchanged otherwise. It owns no memory and is not dropped. `rect_error_cause` returns the causes.
+typedef struct rect_error {
+    // The code that the call also returned.
+    enum rect_code code;
+    // A description for people: one line of UTF-8 with a terminating zero byte. Longer texts are truncated.
+    char text[RECT_ERROR_BYTES];
+} rect_error;
+
+// A text with a handle of its own; it contains JSON, or the name of a codec. Release it with `rect_drop(&string.id, ..)`.
+typedef struct rect_string {
+    // The handle.
+    uint64_t id;
+    // The text.
+    struct rect_text text;
+} rect_string;
+
+// A goal that this program has started or found. `rect_drop(&run.id, ..)` does not cancel the goal.
+typedef struct rect_action_run {
+    // The handle.
+    uint64_t id;
+} rect_action_run;
+
+// A goal of some robot, as its router keeps it.
+typedef struct rect_known_goal {
+    // The robot that carries it out.
+    struct rect_text robot;
+    // The action.
+    struct rect_text action;
+    // The id of the goal.
+    struct rect_text goal_id;
+    // How far it has come: a `rect_phase`.
+    uint32_t phase;
+    // Why it has ended, or is asked to; empty if that is clear.
+    struct rect_text reason;
+    // The program that has started it: `<robot>/<program>`.
+    struct rect_text by;
+    // The program that carries it out; empty if it has no name.
+    struct rect_text program;
+    // When it was started, in milliseconds since 1970 by the clock of its robot.
+    uint64_t began_ms;
+    // When it ended; 0 if it has not.
+    uint64_t ended_ms;
+    // The goal itself; empty if it is long, or there is none.
+    struct rect_payload goal;
+    // Whether it has a result.
+    bool has_result;
+    // The result; empty if there is none.
+    struct rect_payload result;
+} rect_known_goal;
+
+// A list of goals. Release it with `rect_drop(&goals.id, ..)`.
+typedef struct rect_known_goals {
+    // The handle.
+    uint64_t id;
+    // The first goal.
+    const struct rect_known_goal *items;
+    // Number of goals.
+    size_t len;
+} rect_known_goals;
+
+// What a program knows of a goal that it follows. Release it with `rect_drop(&status.id, ..)`.
+typedef struct rect_goal_status {
+    // The handle.
+    uint64_t id;
+    // The robot that carries out the goal.
+    struct rect_text robot;
+    // The action.
+    struct rect_text action;
+    // The id of the goal.
+    struct rect_text goal_id;
+    // How far it has come: a `rect_phase`. It has ended from `RECT_PHASE_DONE` on.
+    uint32_t phase;
+    // For how long it has been in this phase, in milliseconds. If its phase is `RECT_PHASE_CANCELLING`, it does not heed its cancel.
+    uint64_t phase_ms;
+    // Why it has ended, or is asked to; empty if that is clear.
+    struct rect_text reason;
+    // How much is done, from 0 to 1, as its program has said last; NAN if it has not.
+    double progress;
+    // Whether there was feedback.
+    bool has_feedback;
+    // The value of the newest feedback; empty if it has none.
+    struct rect_payload feedback;
+    // Whether the robot is reachable. If it is not, the goal goes on meanwhile, unless the rules of its action say otherwise.
+    bool is_reachable;
+    // For how long the robot has not been reachable, in milliseconds; 0 if it is.
+    uint64_t unreachable_ms;
+} rect_goal_status;
+
+// News of a goal. It is valid until the callback returns.
+typedef struct rect_feedback {
+    // The value; empty if there is none.
+    struct rect_payload value;
+    // How much is done, from 0 to 1; NAN if that is not known.
+    double progress;
+} rect_feedback;
+
+// A callback for feedback. The feedback is valid until the callback returns.
+typedef void (*rect_on_feedback)(const struct rect_feedback *feedback, void *context);
+
+// A subscription, watch or event listener that calls a callback for each item, one after another, on a thread of its own,
+// until `rect_drop(&subscription.id, ..)`.
+//
+// Dropping it waits for a call in progress. A callback may drop its own subscription. If two callbacks drop each other's
+// subscriptions at the same time, both wait forever.
+typedef struct rect_subscription {
+    // The handle.
+    uint64_t id;
+} rect_subscription;
+
+// A payload with a handle of its own. Release it with `rect_drop(&buffer.id, ..)`.
+typedef struct rect_buffer {
+    // The handle.
+    uint64_t id;
+    // The payload.
+    struct rect_payload payload;
+} rect_buffer;
 
 // Limits for decoding one payload. They protect against payloads that become extremely large.
 typedef struct rect_limits {
@@ -348,28 +527,12 @@ typedef struct rect_services {
     size_t len;
 } rect_services;
 
-// A payload with a handle of its own. Release it with `rect_drop(&buffer.id, ..)`.
-typedef struct rect_buffer {
-    // The handle.
-    uint64_t id;
-    // The payload.
-    struct rect_payload payload;
-} rect_buffer;
-
 // A compression dictionary for small messages of similar content. Release it with `rect_drop(&dictionary.id, ..)`; robots
 // that use it keep it.
 typedef struct rect_dictionary {
     // The handle.
     uint64_t id;
 } rect_dictionary;
-
-// A text with a handle of its own; it contains JSON, or the name of a codec. Release it with `rect_drop(&string.id, ..)`.
-typedef struct rect_string {
-    // The handle.
-    uint64_t id;
-    // The text.
-    struct rect_text text;
-} rect_string;
 
 // A connection of a robot's router (docs/reference/registry.md). An unknown value is an empty text, -1 for an integer, or NAN.
 typedef struct rect_connection {
@@ -508,10 +671,6 @@ typedef void (*rect_on_message)(const struct rect_message *message, void *contex
 // returns.
 typedef void (*rect_on_lost)(const char *reason, void *context);
 
-// Called once with a callback's `context` when the callback will not be called any more, even if the function that the
-// callback was passed to fails. May be NULL.
-typedef void (*rect_release)(void *context);
-
 // A dead man's switch. `rect_drop(&deadman.id, ..)` ends it, which is a loss: when that returns, `on_lost` has been called, unless a
 // callback of the switch drops it. Then `on_lost` is called after this callback has returned.
 typedef struct rect_deadman {
@@ -539,16 +698,6 @@ typedef struct rect_event {
 
 // A callback for events. The event is valid until the callback returns.
 typedef void (*rect_on_event)(const struct rect_event *event, void *context);
-
-// A subscription, watch or event listener that calls a callback for each item, one after another, on a thread of its own,
-// until `rect_drop(&subscription.id, ..)`.
-//
-// Dropping it waits for a call in progress. A callback may drop its own subscription. If two callbacks drop each other's
-// subscriptions at the same time, both wait forever.
-typedef struct rect_subscription {
-    // The handle.
-    uint64_t id;
-} rect_subscription;
 
 // The outcome of a request at one robot.
 typedef struct rect_outcome {
@@ -1126,6 +1275,185 @@ typedef void (*rect_on_frame)(const struct rect_frame *frame, void *context);
 #ifdef __cplusplus
 extern "C" {
 #endif // __cplusplus
+
+// Declares an action: a long task, such as driving to a place, which others start (`rect_robot_start`), follow and cancel. The callback
+// carries out one goal at a time, on a thread of its own. It ends a goal with `rect_goal_done` or `rect_goal_fail`, and returns; without
+// either, the goal is done and has no result.
+//
+// ```c
+// static void on_dig(const rect_goal *goal, void *context) {
+//     const rect_payload result = rect_payload_text("dug");
+//     for (int done = 0; done < 10; ++done) {
+//         rect_goal_feedback(goal->id, NULL, done / 10.0, NULL);
+//         if (rect_goal_sleep(goal->id, 1000, NULL) != RECT_CODE_OK) {
+//             return;
+//         }
+//     }
+//     rect_goal_done(goal->id, &result, NULL);
+// }
+//
+// rect_robot_action(robot, "dig", NULL, on_dig, NULL, NULL, &action, &error);
+// ```
+//
+// Each goal has one end, which its client learns also after a cut. The robot's router keeps it for 10 minutes, and at most 16 for each
+// action. A callback that is cancelled should end soon (`rect_goal_is_cancelled`): a newer goal waits for that. A goal is also cancelled
+// when its client is gone (`lost_after_ms`), and by the stop of the fleet, in which this program takes part.
+//
+// `action_name` has 1 to 40 letters, digits, `_`, `-` and `.`. `options` may be NULL: the defaults. `release` is called once with
+// `context` when no more calls will follow, even if this function fails.
+//
+// Returns `RECT_CODE_ACTION` if the name is invalid, and `RECT_CODE_SERVICE_REFUSED` if a program of this robot has the action already.
+// May be called on any thread. The callback may call any function of RECT.
+enum rect_code rect_robot_action(struct rect_robot robot,
+                                 const char *action_name,
+                                 const struct rect_action_options *options,
+                                 rect_on_goal callback,
+                                 void *context,
+                                 rect_release release,
+                                 struct rect_action *action,
+                                 struct rect_error *error);
+
+// Reports news to those who follow a goal. `goal` is its `id`. `value` is a payload of at most 48 kB, and NULL for none. `progress` is how
+// much is done, from 0 to 1, and NAN if that is not known. The newest counts, and it is sent 10 times a second at most, without delaying
+// anything else. Does not wait.
+//
+// Returns `RECT_CODE_ACTION` if the value is too large, and `RECT_CODE_HANDLE` after the callback has returned. May be called on any
+// thread.
+enum rect_code rect_goal_feedback(uint64_t goal,
+                                  const struct rect_payload *value,
+                                  double progress,
+                                  struct rect_error *error);
+
+// Returns whether the callback should end: somebody has cancelled the goal, a newer one takes its place, its client is gone, the fleet is
+// stopped, or the action ends. `goal` is the goal's `id`. If the callback returns after this was true, the goal counts as cancelled or
+// preempted, and otherwise as done. Returns true after the callback has returned. May be called on any thread.
+bool rect_goal_is_cancelled(uint64_t goal);
+
+// Writes to `reason` why the callback should end, as `rect_goal_is_cancelled` describes; empty if it should not. `goal` is the goal's
+// `id`. May be called on any thread.
+enum rect_code rect_goal_cancel_reason(uint64_t goal,
+                                       struct rect_string *reason,
+                                       struct rect_error *error);
+
+// Sleeps for `ms` milliseconds. `goal` is the goal's `id`.
+//
+// Returns `RECT_CODE_CANCELLED` as soon as the callback should end, with the reason as the text, and `RECT_CODE_HANDLE` after it has
+// returned. May be called on any thread.
+enum rect_code rect_goal_sleep(uint64_t goal,
+                               uint32_t ms,
+                               struct rect_error *error);
+
+// Gives a goal its result: a payload of at most 48 kB. NULL: none. `goal` is the goal's `id`. The goal ends when the callback returns.
+//
+// Returns `RECT_CODE_ARGUMENT` if it has a result or a failure already, and `RECT_CODE_HANDLE` after the callback has returned. May be
+// called on any thread.
+enum rect_code rect_goal_done(uint64_t goal,
+                              const struct rect_payload *result,
+                              struct rect_error *error);
+
+// Lets a goal fail. `reason` is a text for people. `goal` is the goal's `id`. The goal ends when the callback returns.
+//
+// Returns the codes of `rect_goal_done`. May be called on any thread.
+enum rect_code rect_goal_fail(uint64_t goal,
+                              const char *reason,
+                              struct rect_error *error);
+
+// Returns the name of a phase, a `rect_phase`, in lower case: `running`. Returns an empty text if there is no such phase. May be called
+// on any thread.
+const char *rect_phase_name(uint32_t phase);
+
+// Starts a goal of an action of the robot `target`, and writes the handle to `run`: returns as soon as it is accepted or refused, which
+// is its end.
+//
+// ```c
+// const rect_payload depth = rect_payload_json("3");
+// rect_buffer result;
+// must(rect_robot_start(robot, "wombat-2", "dig", &depth, NULL, 10000, &run, &error));
+// must(rect_action_run_result(run, 60000, &result, &error));
+// ```
+//
+// `goal` is a payload of at most 48 kB, and NULL for none. `goal_id` is the id of the goal: 1 to 40 letters, digits, `_`, `-` and `.`;
+// NULL: RECT chooses it. A goal that is started again with its id runs once. `timeout_ms` is at most 10 minutes.
+//
+// Returns `RECT_CODE_NO_ACTION` if no program of the robot has the action, `RECT_CODE_ACTION` if an argument is invalid, and
+// `RECT_CODE_TIMED_OUT` or `RECT_CODE_INTERRUPTED` if the robot did not answer: the goal may have begun. Then start it again with the same
+// id, which is safe. The other codes are those of `rect_robot_request`. May be called on any thread.
+enum rect_code rect_robot_start(struct rect_robot robot,
+                                const char *target,
+                                const char *action_name,
+                                const struct rect_payload *goal,
+                                const char *goal_id,
+                                uint32_t timeout_ms,
+                                struct rect_action_run *run,
+                                struct rect_error *error);
+
+// Finds a goal that this program or another one has started, and writes the handle to `run`: also after its end, which the robot's router
+// keeps for 10 minutes.
+//
+// Returns `RECT_CODE_NO_GOAL` if the robot does not know it, or does not answer within `timeout_ms`. May be called on any thread.
+enum rect_code rect_robot_find(struct rect_robot robot,
+                               const char *target,
+                               const char *action_name,
+                               const char *goal_id,
+                               uint32_t timeout_ms,
+                               struct rect_action_run *run,
+                               struct rect_error *error);
+
+// Writes the goals of all actions of the robot `target`, or of all robots (`*`), to `goals`, the newest first: those that have not ended,
+// and those that did so within the last 10 minutes. A robot that does not answer within `timeout_ms` has none in the list.
+//
+// Returns `RECT_CODE_NAME` if the name is invalid. May be called on any thread.
+enum rect_code rect_robot_goals(struct rect_robot robot,
+                                const char *target,
+                                uint32_t timeout_ms,
+                                struct rect_known_goals *goals,
+                                struct rect_error *error);
+
+// Writes what is known of a goal now to `status`. May be called on any thread.
+enum rect_code rect_action_run_status(struct rect_action_run run,
+                                      struct rect_goal_status *status,
+                                      struct rect_error *error);
+
+// Waits for a change of a goal that was not known when this was called last, or when the handle was created: of its phase, of its
+// feedback, and whether its robot is reachable. Several are reported as one.
+//
+// Returns `RECT_CODE_END` if the goal has ended and that was reported, `RECT_CODE_TIMED_OUT` if there is no change within `timeout_ms`
+// (`RECT_FOREVER` waits without a limit), and `RECT_CODE_CLOSED` if the session was closed or another thread dropped the handle. May be
+// called on any thread; if several threads wait, one of them continues.
+enum rect_code rect_action_run_wait_for_change(struct rect_action_run run,
+                                               uint32_t timeout_ms,
+                                               struct rect_error *error);
+
+// Calls a callback for the newest feedback of a goal, at once if there is some, and then whenever there is newer one, until
+// `rect_drop(&subscription.id, ..)`, also after the run was dropped. The calls are made one after another, on a thread of the subscription;
+// feedback that arrives meanwhile replaces earlier one. Feedback that does not differ from the one before is not reported.
+//
+// `release` is called once with `context` when no more calls will follow, even if this function fails.
+//
+// May be called on any thread. The callback may call any function of RECT and may drop its own subscription.
+enum rect_code rect_action_run_on_feedback(struct rect_action_run run,
+                                           rect_on_feedback callback,
+                                           void *context,
+                                           rect_release release,
+                                           struct rect_subscription *subscription,
+                                           struct rect_error *error);
+
+// Asks the callback of a goal to end. Returns when its robot has the wish; the end follows as soon as the callback heeds it. Nothing
+// happens if the goal has ended. Returns the codes of `rect_robot_request`. May be called on any thread.
+enum rect_code rect_action_run_cancel(struct rect_action_run run,
+                                      struct rect_error *error);
+
+// Waits for the end of a goal, and writes its result to `result`: text, JSON or bytes; `null` as JSON if there is none. A robot that cannot
+// be reached is no end.
+//
+// Returns `RECT_CODE_GOAL` if the goal was not reached: the text states the end and the reason, and `rect_action_run_status` has both;
+// `RECT_CODE_TIMED_OUT` if it has not ended within `timeout_ms` (`RECT_FOREVER` waits without a limit): the text states its phase, and for
+// how long it has been in it; and `RECT_CODE_CLOSED` if the session was closed or another thread dropped the handle. May be called on any
+// thread.
+enum rect_code rect_action_run_result(struct rect_action_run run,
+                                      uint32_t timeout_ms,
+                                      struct rect_buffer *result,
+                                      struct rect_error *error);
 
 // Raises an alert: something is wrong with this robot until `rect_robot_clear_alert` ends it. `rect status`, the page and recordings
 // show it. `level` is a `rect_level`.

@@ -52,6 +52,11 @@ impl<S> Cancellable<S> {
         &self.source
     }
 
+    /// Returns the runtime on which calls wait.
+    pub fn runtime(&self) -> &Arc<Runtime> {
+        &self.runtime
+    }
+
     /// Waits for a call of the library, or until the handle is dropped.
     pub fn wait<'a, T, F>(&'a self, call: impl FnOnce(&'a S) -> F) -> Result<T, Failure>
     where

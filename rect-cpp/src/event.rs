@@ -130,9 +130,10 @@ pub extern "C" fn rect_robot_on_event(
         let callback = require("callback", callback)?;
         let program = robot.resolve()?;
         let events = program.wait(program.robot.events())?;
-        let started = subscription::start(&program, events, wrapper, move |event, context| {
-            callback(&view(event), context);
-        })?;
+        let started =
+            subscription::start(&program.runtime, events, wrapper, move |event, context| {
+                callback(&view(event), context);
+            })?;
         write_out("subscription", subscription, started)
     })
 }

@@ -79,6 +79,17 @@ pub enum Code {
     NoParameters = 30,
     /// The values of parameters are in force, but are lost when the program of the robot ends. The text states why.
     NotStored = 31,
+    /// An action cannot be declared, or an argument of a goal is invalid. The text states why.
+    Action = 32,
+    /// No program of the robot has the action. The text lists its actions. Check that the program is running. A robot that was configured
+    /// by an earlier version lacks the rule for `@rect/@set/actions/**` in its access control.
+    NoAction = 33,
+    /// The robot does not know the goal: it never began, or ended more than ten minutes ago.
+    NoGoal = 34,
+    /// A goal was not carried out, or not to its end. The text states how it ended, and why.
+    Goal = 35,
+    /// The goal was cancelled while the function that carries it out was sleeping. It should end soon.
+    Cancelled = 36,
 }
 
 /// The reason why a call failed.
@@ -94,6 +105,8 @@ pub enum Failure {
     Handle(&'static str),
     /// The awaited item, and the timeout in milliseconds that expired.
     TimedOut(&'static str, u32),
+    /// The reason why the function that carries out a goal should end.
+    Cancelled(String),
     /// The session was closed, or the object was dropped.
     Closed,
     /// There are no more items.
@@ -116,6 +129,7 @@ impl Failure {
             Self::Argument(..) => Code::Argument,
             Self::Handle(_) => Code::Handle,
             Self::TimedOut(..) => Code::TimedOut,
+            Self::Cancelled(_) => Code::Cancelled,
             Self::Closed => Code::Closed,
             Self::End => Code::End,
             Self::Internal(_) => Code::Internal,
@@ -132,6 +146,7 @@ impl Failure {
                 "invalid handle (expected: {kind}): it was already dropped, was never created, or belongs to an object of another kind"
             ),
             Self::TimedOut(item, ms) => format!("no {item} within {ms} ms"),
+            Self::Cancelled(reason) => format!("cancelled: {reason}"),
             Self::Closed => "the session was closed, or the object was dropped while the call was waiting".to_owned(),
             Self::End => "there are no more items".to_owned(),
             Self::Internal(message) => format!("internal error of RECT, please report it: {message}"),
@@ -164,6 +179,10 @@ fn code(error: &Error) -> Code {
         Error::Parameters { .. } => Code::Parameters,
         Error::NoParameters { .. } => Code::NoParameters,
         Error::NotStored { .. } => Code::NotStored,
+        Error::Action { .. } => Code::Action,
+        Error::NoAction { .. } => Code::NoAction,
+        Error::NoGoal { .. } => Code::NoGoal,
+        Error::Goal { .. } => Code::Goal,
         Error::NoService { .. } => Code::NoService,
         Error::ServiceRefused { .. } => Code::ServiceRefused,
         Error::Interrupted { .. } => Code::Interrupted,

@@ -5,6 +5,8 @@
 //! to them by numbers. The structs that C receives (`message`, `frame` and so on) point into these objects. An `unsafe`
 //! function requires that its caller follows the rules at the top of rect.h: pointers are NULL, or valid for the duration of
 //! the call.
+mod action;
+mod action_run;
 mod alert;
 mod argument;
 mod array;

@@ -5,7 +5,7 @@ use std::{
 };
 
 use bytes::Bytes;
-use rect::{Encoding, Payload};
+use rect::{Encoding, Json, Payload, ToPayload, Value};
 use rect_core::{
     cause::Cause,
     message::{encoding, payload::PayloadError},
@@ -131,6 +131,27 @@ pub fn into_c(payload: Payload) -> Buffer {
     Buffer {
         id: handle::insert(OwnedBuffer { _payload: payload }),
         payload: view,
+    }
+}
+
+/// Returns a payload in a form that C programs can read: text as text, and other values as JSON rather than CBOR, unless JSON cannot
+/// express them.
+pub fn readable(payload: Payload) -> Payload {
+    if payload.encoding != Encoding::CBOR {
+        return payload;
+    }
+    match payload.value() {
+        Ok(Value::String(text)) => Payload::new(text, Encoding::TEXT),
+        Ok(value) => Json(value).to_payload().unwrap_or(payload),
+        Err(_) => payload,
+    }
+}
+
+/// Does the same as [`readable`], and returns an empty payload for null.
+pub fn readable_or_empty(payload: Payload) -> Payload {
+    match payload.value::<Value>() {
+        Ok(Value::Null) => Payload::new("", Encoding::BYTES),
+        _ => readable(payload),
     }
 }
 

@@ -209,10 +209,15 @@ pub unsafe extern "C" fn rect_robot_on_message(
         let callback = require("callback", callback)?;
         let program = robot.resolve()?;
         let declared = declare(&program, pattern, options)?;
-        let started = subscription::start(&program, declared, wrapper, move |message, context| {
-            let problem = message::problem(message);
-            callback(&message::view(message, problem.as_deref()), context);
-        })?;
+        let started = subscription::start(
+            &program.runtime,
+            declared,
+            wrapper,
+            move |message, context| {
+                let problem = message::problem(message);
+                callback(&message::view(message, problem.as_deref()), context);
+            },
+        )?;
         write_out("subscription", subscription, started)
     })
 }

@@ -1,11 +1,12 @@
 //! Runs a callback for each item of a source, on a thread of its own, until the subscription is dropped.
 use std::{ffi::c_void, future::Future, sync::Arc, thread};
 
+use rect::blocking::Runtime;
+
 use crate::{
     callback::Callback,
     failure::Failure,
     handle::{self, Object},
-    program::Program,
 };
 
 /// A subscription, watch or event listener that calls a callback for each item, one after another, on a thread of its own,
@@ -48,14 +49,14 @@ pub trait Source: Send + Sync + 'static {
 
 /// Starts a thread that passes each item of `source` to `callback`, using `invoke`.
 pub fn start<S: Source>(
-    program: &Program,
+    runtime: &Arc<Runtime>,
     source: S,
     callback: Arc<Callback>,
     invoke: impl Fn(&S::Item, *mut c_void) + Send + 'static,
 ) -> Result<Subscription, Failure> {
     let source = Arc::new(source);
     let (items, wrapper) = (source.clone(), callback.clone());
-    let runtime = program.runtime.clone();
+    let runtime = runtime.clone();
     let thread = thread::Builder::new().name("rect-callback".into());
     let started = thread.spawn(move || {
         let call = |item| wrapper.run(|context| invoke(&item, context));

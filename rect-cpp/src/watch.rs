@@ -190,9 +190,14 @@ pub unsafe extern "C" fn rect_robot_on_frame(
         let callback = require("callback", callback)?;
         let program = robot.resolve()?;
         let declared = declare(&program, stream, options)?;
-        let started = subscription::start(&program, declared, wrapper, move |frame, context| {
-            callback(&frame::view(frame), context);
-        })?;
+        let started = subscription::start(
+            &program.runtime,
+            declared,
+            wrapper,
+            move |frame, context| {
+                callback(&frame::view(frame), context);
+            },
+        )?;
         write_out("subscription", subscription, started)
     })
 }

@@ -1,5 +1,5 @@
-/* Tests the C interface in C99: messages, retained ones, services, streams, transfers, parameters, the dead man's switch, the stop, logs and
- * alerts. At the end, no handle remains.
+/* Tests the C interface in C99: messages, retained ones, services, streams, transfers, parameters, the dead man's switch, the stop, logs,
+ * alerts and actions. At the end, no handle remains.
  *
  *     ctest --preset default -R c99
  */
@@ -29,6 +29,10 @@ static void check(bool holds, const char *what) {
 
 static bool equals(rect_text text, const char *expected) {
     return text.len == strlen(expected) && memcmp(text.data, expected, text.len) == 0;
+}
+
+static bool begins(rect_text text, const char *expected) {
+    return text.len >= strlen(expected) && memcmp(text.data, expected, strlen(expected)) == 0;
 }
 
 static bool has_text(rect_payload payload, const char *expected) {
@@ -381,6 +385,98 @@ static void logs(rect_robot one, rect_robot two) {
     must(rect_robot_clear_alert(one, "battery", &error), "clear_alert");
 }
 
+static void on_dig(const rect_goal *goal, void *context) {
+    const rect_payload news = rect_payload_text("digging");
+    const rect_payload result = rect_payload_json("{\"depth\":3}");
+    rect_string reason;
+    *(volatile int *)context += 1;
+    check(begins(goal->by, "wombat-1") && goal->goal_id.len > 0, "the goal has an id and a client");
+    if (has_text(goal->payload, "fail")) {
+        must(rect_goal_fail(goal->id, "there is rock", &error), "fail");
+        check(rect_goal_done(goal->id, NULL, NULL) == RECT_CODE_ARGUMENT, "a goal has one end");
+        return;
+    }
+    check(!rect_goal_is_cancelled(goal->id), "nobody has cancelled it");
+    must(rect_goal_feedback(goal->id, &news, 0.5, &error), "feedback");
+    if (has_text(goal->payload, "wait")) {
+        check(rect_goal_sleep(goal->id, TIMEOUT_MS, &error) == RECT_CODE_CANCELLED, "the goal is cancelled");
+        must(rect_goal_cancel_reason(goal->id, &reason, &error), "cancel_reason");
+        check(begins(reason.text, "by wombat-1") && rect_goal_is_cancelled(goal->id), "the reason is known");
+        must(rect_drop(&reason.id, &error), "drop");
+        return;
+    }
+    must(rect_goal_sleep(goal->id, 1, &error), "sleep");
+    must(rect_goal_done(goal->id, &result, &error), "done");
+}
+
+static void on_feedback(const rect_feedback *feedback, void *context) {
+    check(has_text(feedback->value, "digging") && feedback->progress == 0.5, "the feedback is correct");
+    *(volatile int *)context += 1;
+}
+
+static void end_of_goal(rect_robot one, const char *goal, rect_phase phase, const char *reason) {
+    const rect_payload payload = rect_payload_text(goal);
+    rect_action_run run;
+    rect_subscription subscription;
+    rect_goal_status status;
+    rect_buffer result;
+    rect_code code;
+    volatile int news = 0;
+    do {
+        code = rect_robot_start(one, "wombat-2", "dig", &payload, goal, TIMEOUT_MS, &run, &error);
+    } while (code == RECT_CODE_NO_ACTION);
+    must(code, "start");
+    if (strcmp(goal, "wait") == 0) {
+        must(rect_action_run_on_feedback(run, on_feedback, (void *)&news, NULL, &subscription, &error), "on_feedback");
+        do {
+            code = rect_action_run_wait_for_change(run, RETRY_MS, &error);
+            check(code == RECT_CODE_OK || code == RECT_CODE_TIMED_OUT, "wait_for_change");
+        } while (news == 0);
+        check(rect_action_run_result(run, RETRY_MS, &result, &error) == RECT_CODE_TIMED_OUT, "it has not ended");
+        must(rect_action_run_cancel(run, &error), "cancel");
+    }
+    code = rect_action_run_result(run, TIMEOUT_MS, &result, &error);
+    if (phase == RECT_PHASE_DONE) {
+        must(code, "result");
+        check(has_text(result.payload, "{\"depth\":3}"), "the result is JSON");
+        must(rect_drop(&result.id, &error), "drop");
+    }
+    check((code == RECT_CODE_OK) == (phase == RECT_PHASE_DONE), "the end is correct");
+    must(rect_action_run_status(run, &status, &error), "status");
+    check(status.phase == (uint32_t)phase && begins(status.reason, reason), rect_phase_name(status.phase));
+    check(status.is_reachable && equals(status.goal_id, goal) && equals(status.action, "dig"), "the status is complete");
+    must(rect_drop(&status.id, &error), "drop");
+    if (news > 0) {
+        must(rect_drop(&subscription.id, &error), "drop");
+    }
+    must(rect_drop(&run.id, &error), "drop");
+}
+
+static void actions(rect_robot one, rect_robot two) {
+    rect_action action;
+    rect_action_options options = {0};
+    rect_action_run run;
+    rect_known_goals goals;
+    int calls = 0;
+    options.about = "digs a hole";
+    options.refuse_when_busy = true;
+    options.lost_after_ms = RECT_FOREVER;
+    must(rect_robot_action(two, "dig", &options, on_dig, &calls, on_release, &action, &error), "action");
+    check(rect_robot_start(one, "wombat-2", "fly", NULL, NULL, TIMEOUT_MS, &run, &error) == RECT_CODE_NO_ACTION, "no action");
+    end_of_goal(one, "dig", RECT_PHASE_DONE, "");
+    end_of_goal(one, "fail", RECT_PHASE_FAILED, "there is rock");
+    end_of_goal(one, "wait", RECT_PHASE_CANCELLED, "by wombat-1");
+    must(rect_robot_goals(one, "*", TIMEOUT_MS, &goals, &error), "goals");
+    check(goals.len == 3 && equals(goals.items[0].robot, "wombat-2"), "the goals are known");
+    must(rect_drop(&goals.id, &error), "drop");
+    check(rect_robot_find(one, "wombat-2", "dig", "none", TIMEOUT_MS, &run, &error) == RECT_CODE_NO_GOAL, "no goal");
+    must(rect_robot_find(one, "wombat-2", "dig", "fail", TIMEOUT_MS, &run, &error), "find");
+    must(rect_drop(&run.id, &error), "drop");
+    must(rect_drop(&action.id, &error), "drop");
+    check(calls == 103, "each goal was carried out once, and the context was released");
+    check(strcmp(rect_phase_name(RECT_PHASE_LOST), "lost") == 0 && *rect_phase_name(99) == 0, "phases have names");
+}
+
 int main(void) {
     rect_robot one;
     rect_robot two;
@@ -395,6 +491,7 @@ int main(void) {
     parameters(one, two);
     safety(one, two);
     logs(one, two);
+    actions(one, two);
     copy = one;
     must(rect_drop(&one.id, &error), "drop");
     check(rect_drop(&copy.id, &error) == RECT_CODE_HANDLE, "dropping a copy of a dropped handle fails");

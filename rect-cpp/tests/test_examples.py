@@ -105,6 +105,17 @@ def test_log(name: str, build: Path, own_router: None, tmp_path: Path) -> None:
         log.until_end()
 
 
+@pytest.mark.parametrize("name", ["dig", "dig_c"])
+def test_dig(name: str, build: Path, own_router: None, tmp_path: Path) -> None:
+    # The router of the digger keeps the goal.
+    with Example(build / "examples" / name, "wombat-1", folder=tmp_path) as digger:
+        digger.until("ready to dig")
+        with Example(build / "examples" / name, "wombat-1", "wombat-1", "4", folder=tmp_path) as scout:
+            scout.until(" cm, ")
+            scout.until("a hole of 4 cm")
+            scout.until_end()
+
+
 def test_teleoperation(examples: Path, tmp_path: Path) -> None:
     with Example(examples / "teleoperation", "wombat-1", folder=tmp_path) as one:
         one.until("stopping: no command has arrived yet")
@@ -148,7 +159,7 @@ def test_wombat(examples: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["hello", "telemetry", "teleoperation", "camera", "transfer", "request", "state", "log", "wombat"]
+    "name", ["hello", "telemetry", "teleoperation", "camera", "transfer", "request", "state", "log", "dig", "wombat"]
 )
 def test_examples_have_less_than_80_lines(name: str) -> None:
     assert len((_REPOSITORY / "examples" / name / "main.cpp").read_text().splitlines()) < 80

@@ -89,6 +89,17 @@ enum class Code {
     no_parameters = RECT_CODE_NO_PARAMETERS,
     /// The values of parameters are in force, but are lost when the program of the robot ends. The text states why.
     not_stored = RECT_CODE_NOT_STORED,
+    /// An action cannot be declared, or an argument of a goal is invalid. The text states why.
+    action = RECT_CODE_ACTION,
+    /// No program of the robot has the action. The text lists its actions. Check that the program is running. A robot that was configured
+    /// by an earlier version lacks the rule for `@rect/@set/actions/**` in its access control.
+    no_action = RECT_CODE_NO_ACTION,
+    /// The robot does not know the goal: it never began, or ended more than ten minutes ago.
+    no_goal = RECT_CODE_NO_GOAL,
+    /// A goal was not carried out, or not to its end. The text states how it ended, and why.
+    goal = RECT_CODE_GOAL,
+    /// The goal was cancelled while the function that carries it out was sleeping. It should end soon.
+    cancelled = RECT_CODE_CANCELLED,
 };
 
 /// The reason why a call failed.

@@ -120,7 +120,7 @@ private:
     std::string encoding_;
 };
 
-/// A payload that the library owns: the result of rect::encode or rect::decode.
+/// A payload that the library owns: the result of rect::encode, rect::decode or ActionRun::result.
 class Buffer {
 public:
     /// Takes ownership of a buffer of rect.h.

@@ -13,6 +13,7 @@
 #include <utility>
 #include <vector>
 
+#include "action.hpp"
 #include "callback.hpp"
 #include "connection.hpp"
 #include "deadman.hpp"
@@ -685,6 +686,94 @@ public:
                                              Functions::call_on_command, Functions::call_on_lost, functions.context(),
                                              decltype(functions)::release, &deadman, &error);
         return detail::value_or_error<Deadman>(code, error, [&] { return Deadman(deadman.id); });
+    }
+
+    /// Declares an action: a long task, such as driving to a place, which others start (`start`), follow and cancel.
+    /// `function(rect::Goal&)` carries out one goal at a time, on a thread of its own, and returns its result, or nothing. If it throws an
+    /// exception, or returns an `expected` with an error, the goal has failed with that text.
+    ///
+    ///     const auto action = rect::must(robot.action("dig", [](rect::Goal& goal) {
+    ///         const auto depth = rect::must(goal.payload.value<int>());
+    ///         for (int done = 0; done < depth; ++done) {
+    ///             rect::must(goal.progress(1.0 * done / depth));
+    ///             goal.sleep(1s);
+    ///         }
+    ///         return "dug";
+    ///     }));
+    ///
+    /// Each goal has one end, which its client learns also after a cut. The robot's router keeps it for 10 minutes, and at most 16 for each
+    /// action. A function that is cancelled should end soon (Goal::is_cancelled; Goal::sleep throws): a newer goal waits for that. A goal
+    /// is also cancelled when its client is gone (ActionOptions::lost_after), and by the stop of the fleet, in which this program takes part.
+    ///
+    /// Fails with Code::action if the name is invalid (1 to 40 letters, digits, `_`, `-` and `.`), and with Code::service_refused if a
+    /// program of this robot has the action already.
+    template <class F>
+    [[nodiscard]] expected<Action> action(const Text& name, F&& function, const ActionOptions& options = {}) const {
+        using Function = std::decay_t<F>;
+        const detail::Callback<Function> callback(std::forward<F>(function));
+        rect_action_options raw_options{};
+        raw_options.about = options.about.c_str();
+        raw_options.refuse_when_busy = options.refuse_when_busy;
+        raw_options.lost_after_ms = std::max<std::uint32_t>(1, detail::ms(options.lost_after));
+        rect_action action;
+        rect_error error;
+        const auto code = rect_robot_action(raw(), name.c_str(), &raw_options, detail::carry_out<Function>, callback.context(),
+                                            decltype(callback)::release, &action, &error);
+        return detail::value_or_error<Action>(code, error, [&] { return Action(action.id); });
+    }
+
+    /// Starts a goal of an action of the robot `robot`, and returns as soon as it is accepted or refused, which is its end. `goal` is any
+    /// value of at most 48 kB.
+    ///
+    ///     const auto run = rect::must(robot.start("wombat-2", "dig", 3));
+    ///     std::cout << rect::must(run.result<std::string>(60s)) << std::endl;
+    ///
+    /// Fails with Code::no_action if no program of the robot has the action, with Code::action if an argument is invalid, and with
+    /// Code::timed_out or Code::interrupted if the robot did not answer: the goal may have begun. Then start it again with the same id
+    /// (StartOptions::id), which is safe, or `find` it. The other errors are those of `request`.
+    template <class T = std::string_view>
+    [[nodiscard]] expected<ActionRun> start(const Text& robot, const Text& action, const T& goal = {},
+                                            const StartOptions& options = {}) const {
+        rect_action_run run{};
+        const auto started = detail::with_payload(goal, [&](const rect_payload& payload) {
+            const Text id(options.id);
+            if (id.c_str() == nullptr) {
+                return expected<void>(detail::failed(Code::argument, "the argument id contains a zero byte"));
+            }
+            rect_error error;
+            const auto code = rect_robot_start(raw(), robot.c_str(), action.c_str(), &payload, detail::or_null(options.id),
+                                               detail::ms(options.timeout), &run, &error);
+            return detail::ok_or_error(code, error);
+        });
+        return started ? expected<ActionRun>(ActionRun(run.id)) : unexpected<Error>(started.error());
+    }
+
+    /// Returns a goal that this program or another one has started: also after its end, which the robot's router keeps for 10 minutes.
+    /// Fails with Code::no_goal if the robot does not know it, or does not answer within `timeout`.
+    [[nodiscard]] expected<ActionRun> find(const Text& robot, const Text& action, const Text& id,
+                                           Milliseconds timeout = default_timeout) const {
+        rect_action_run run;
+        rect_error error;
+        const auto code =
+            rect_robot_find(raw(), robot.c_str(), action.c_str(), id.c_str(), detail::ms(timeout), &run, &error);
+        return detail::value_or_error<ActionRun>(code, error, [&] { return ActionRun(run.id); });
+    }
+
+    /// Returns the goals of all actions of the robot `robot`, or of all robots (`*`), the newest first: those that have not ended, and those
+    /// that did so within the last 10 minutes. A robot that does not answer within `timeout` has none in the list. Fails with Code::name if
+    /// the name is invalid.
+    [[nodiscard]] expected<std::vector<KnownGoal>> goals(const Text& robot = "*", Milliseconds timeout = default_timeout) const {
+        rect_known_goals goals;
+        rect_error error;
+        const auto code = rect_robot_goals(raw(), robot.c_str(), detail::ms(timeout), &goals, &error);
+        return detail::value_or_error<std::vector<KnownGoal>>(code, error, [&] {
+            const Handle handle(goals.id);
+            std::vector<KnownGoal> all;
+            for (const auto& known : span<const rect_known_goal>(goals.items, goals.len)) {
+                all.push_back(detail::known_goal(known));
+            }
+            return all;
+        });
     }
 
     /// Logs a line, which the router of this robot keeps: `rect log` shows it, also after this program has ended. The place of the call in
