@@ -39,6 +39,7 @@ BENCHES = {
     "stream": "a camera over a slow link, as video, adaptive and fixed: frames, ages, quality, urgent messages",
     "video_faults": "a camera's video while the radio is cut, or the Wi-Fi of an `any` link falls silent",
     "video_links": "a camera's video over links with Bluetooth alone, beside links that carry nothing",
+    "actions": "actions compared with plain Zenoh: start and cancel, alone and beside 1 MB; feedback",
     "logs": "logs: urgent messages beside 10,000 lines a second, the last lines of a crash, memory",
     "state": "retained topics compared with zenoh-ext, MQTT and NetworkTables: a late subscriber, and after a cut",
     "parameters": "parameters compared with NetworkTables: a slider beside 1 MB, idle, a restart, a cut, a wrong type",

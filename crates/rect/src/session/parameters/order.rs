@@ -71,7 +71,7 @@ impl Robot {
     /// now. Access control may permit it to some only (`@rect/@set/parameters/**`).
     ///
     /// An order that ends without a reply in the first second, for example because the program has just begun, is sent again. That is
-    /// safe: an order that is carried out twice leaves the same values.
+    /// safe unless somebody else changes the same values in between: an order that is carried out twice leaves the same ones.
     ///
     /// ```no_run
     /// # async fn tune(robot: rect::Robot) -> Result<(), rect::Error> {
