@@ -9,11 +9,11 @@ use rect::{Goal, Json};
 async fn dig(goal: Goal) -> Result<String, String> {
     let depth: u32 = goal.payload.value().map_err(|error| error.to_string())?;
     for done in 0..depth {
-        let told = goal.feedback(
+        let sent = goal.feedback(
             format!("{done} cm"),
             Some(f64::from(done) / f64::from(depth)),
         );
-        told.map_err(|error| error.to_string())?;
+        sent.map_err(|error| error.to_string())?;
         // Fails if the goal is cancelled: then nothing more is dug.
         let slept = goal.sleep(Duration::from_millis(500)).await;
         slept.map_err(|cancelled| cancelled.to_string())?;

@@ -305,7 +305,7 @@ typedef struct rect_action_options {
     const char *about;
     // Whether a new goal is refused while another one runs. Otherwise it preempts the other one, which is asked to end.
     bool refuse_when_busy;
-    // How long the client of a goal has to be gone until the goal is cancelled, in milliseconds: its program has ended, or its robot
+    // How long the client of a goal has to be away until the goal is cancelled, in milliseconds: its program has ended, or its robot
     // cannot be reached. 0: 5 s. `RECT_FOREVER`: the goal is carried out without its client, too.
     uint32_t lost_after_ms;
 } rect_action_options;
@@ -423,7 +423,7 @@ typedef struct rect_known_goals {
     size_t len;
 } rect_known_goals;
 
-// What a program knows of a goal that it follows. Release it with `rect_drop(&status.id, ..)`.
+// The status of a goal, as far as a program that follows it knows. Release it with `rect_drop(&status.id, ..)`.
 typedef struct rect_goal_status {
     // The handle.
     uint64_t id;
@@ -1297,7 +1297,7 @@ extern "C" {
 //
 // Each goal has one end, which its client learns also after a cut. The robot's router keeps it for 10 minutes, and at most 16 for each
 // action. A callback that is cancelled should end soon (`rect_goal_is_cancelled`): a newer goal waits for that. A goal is also cancelled
-// when its client is gone (`lost_after_ms`), and by the stop of the fleet, in which this program takes part.
+// when its client has left (`lost_after_ms`), and by the stop of the fleet, in which this program takes part.
 //
 // `action_name` has 1 to 40 letters, digits, `_`, `-` and `.`. `options` may be NULL: the defaults. `release` is called once with
 // `context` when no more calls will follow, even if this function fails.
@@ -1324,7 +1324,7 @@ enum rect_code rect_goal_feedback(uint64_t goal,
                                   double progress,
                                   struct rect_error *error);
 
-// Returns whether the callback should end: somebody has cancelled the goal, a newer one takes its place, its client is gone, the fleet is
+// Returns whether the callback should end: somebody has cancelled the goal, a newer one takes its place, its client has left, the fleet is
 // stopped, or the action ends. `goal` is the goal's `id`. If the callback returns after this was true, the goal counts as cancelled or
 // preempted, and otherwise as done. Returns true after the callback has returned. May be called on any thread.
 bool rect_goal_is_cancelled(uint64_t goal);
@@ -1444,7 +1444,7 @@ enum rect_code rect_action_run_cancel(struct rect_action_run run,
                                       struct rect_error *error);
 
 // Waits for the end of a goal, and writes its result to `result`: text, JSON or bytes; `null` as JSON if there is none. A robot that cannot
-// be reached is no end.
+// be reached does not end the wait.
 //
 // Returns `RECT_CODE_GOAL` if the goal was not reached: the text states the end and the reason, and `rect_action_run_status` has both;
 // `RECT_CODE_TIMED_OUT` if it has not ended within `timeout_ms` (`RECT_FOREVER` waits without a limit): the text states its phase, and for

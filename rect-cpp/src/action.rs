@@ -37,7 +37,7 @@ pub struct ActionOptions {
     pub about: *const c_char,
     /// Whether a new goal is refused while another one runs. Otherwise it preempts the other one, which is asked to end.
     pub refuse_when_busy: bool,
-    /// How long the client of a goal has to be gone until the goal is cancelled, in milliseconds: its program has ended, or its robot
+    /// How long the client of a goal has to be away until the goal is cancelled, in milliseconds: its program has ended, or its robot
     /// cannot be reached. 0: 5 s. `RECT_FOREVER`: the goal is carried out without its client, too.
     pub lost_after_ms: u32,
 }
@@ -179,7 +179,7 @@ fn serve(
 ///
 /// Each goal has one end, which its client learns also after a cut. The robot's router keeps it for 10 minutes, and at most 16 for each
 /// action. A callback that is cancelled should end soon (`rect_goal_is_cancelled`): a newer goal waits for that. A goal is also cancelled
-/// when its client is gone (`lost_after_ms`), and by the stop of the fleet, in which this program takes part.
+/// when its client has left (`lost_after_ms`), and by the stop of the fleet, in which this program takes part.
 ///
 /// `action_name` has 1 to 40 letters, digits, `_`, `-` and `.`. `options` may be NULL: the defaults. `release` is called once with
 /// `context` when no more calls will follow, even if this function fails.
@@ -247,7 +247,7 @@ pub unsafe extern "C" fn rect_goal_feedback(
     })
 }
 
-/// Returns whether the callback should end: somebody has cancelled the goal, a newer one takes its place, its client is gone, the fleet is
+/// Returns whether the callback should end: somebody has cancelled the goal, a newer one takes its place, its client has left, the fleet is
 /// stopped, or the action ends. `goal` is the goal's `id`. If the callback returns after this was true, the goal counts as cancelled or
 /// preempted, and otherwise as done. Returns true after the callback has returned. May be called on any thread.
 #[no_mangle]

@@ -67,7 +67,7 @@ const PHASES: [(u32, LibraryPhase); 9] = [
     (Phase::Lost as u32, LibraryPhase::Lost),
 ];
 
-/// What a program knows of a goal that it follows. Release it with `rect_drop(&status.id, ..)`.
+/// The status of a goal, as far as a program that follows it knows. Release it with `rect_drop(&status.id, ..)`.
 #[repr(C)]
 pub struct GoalStatus {
     /// The handle.
@@ -519,7 +519,7 @@ pub extern "C" fn rect_action_run_cancel(
 }
 
 /// Waits for the end of a goal, and writes its result to `result`: text, JSON or bytes; `null` as JSON if there is none. A robot that cannot
-/// be reached is no end.
+/// be reached does not end the wait.
 ///
 /// Returns `RECT_CODE_GOAL` if the goal was not reached: the text states the end and the reason, and `rect_action_run_status` has both;
 /// `RECT_CODE_TIMED_OUT` if it has not ended within `timeout_ms` (`RECT_FOREVER` waits without a limit): the text states its phase, and for

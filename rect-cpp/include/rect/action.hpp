@@ -62,7 +62,7 @@ struct ActionOptions {
     std::string about{};
     /// Whether a new goal is refused while another one runs. Otherwise it preempts the other one, which is asked to end.
     bool refuse_when_busy{false};
-    /// How long the client of a goal has to be gone until the goal is cancelled: its program has ended, or its robot cannot be reached.
+    /// How long the client of a goal has to be away until the goal is cancelled: its program has ended, or its robot cannot be reached.
     /// rect::forever: the goal is carried out without its client, too.
     std::chrono::milliseconds lost_after{std::chrono::seconds(5)};
 };
@@ -92,7 +92,7 @@ public:
     /// Reports how much is done, from 0 to 1, as `feedback` does, without a value.
     expected<void> progress(double progress) const { return give(nullptr, progress); }
 
-    /// Returns whether the function should end: somebody has cancelled the goal, a newer one takes its place, its client is gone, the fleet
+    /// Returns whether the function should end: somebody has cancelled the goal, a newer one takes its place, its client has left, the fleet
     /// is stopped, or the action ends. If the function returns after this was true, the goal counts as cancelled or preempted, and
     /// otherwise as done.
     [[nodiscard]] bool is_cancelled() const noexcept { return rect_goal_is_cancelled(raw_.id); }
@@ -143,7 +143,7 @@ struct StartOptions {
     std::chrono::milliseconds timeout{default_timeout};
 };
 
-/// What a program knows of a goal that it follows.
+/// The status of a goal, as far as a program that follows it knows.
 struct GoalStatus {
     /// The robot that carries out the goal.
     std::string robot;
@@ -287,7 +287,8 @@ public:
     }
 
     /// Waits for the end of the goal, and returns its result: a value of type `T` with `result<T>()`, otherwise a Buffer of text,
-    /// JSON or bytes, which is `null` as JSON if there is none. A robot that cannot be reached is no end.
+    /// JSON or bytes, which is `null` as JSON if there is none. A robot that cannot be reached does not
+    /// end the wait.
     ///
     /// Fails with Code::goal if the goal was not reached: the text states the end and the reason, and `status` has both; with
     /// Code::timed_out if it has not ended within `timeout`: the text states its phase, and for how long it has been in it; with

@@ -13,7 +13,7 @@ use crate::{
 pub struct Goal {
     /// The id, which its client has chosen.
     pub id: String,
-    /// Who has started it: `<robot>/<program>`. Zenoh does not verify the name.
+    /// The program that has started it: `<robot>/<program>`. Zenoh does not verify the name.
     pub by: String,
     /// The goal itself: `goal.payload.value::<Target>()`. Empty if its client has given none.
     pub payload: Payload,
@@ -247,8 +247,8 @@ impl ActionRun {
         self.runtime.wait(self.run.cancel())
     }
 
-    /// Blocks until the end of the goal, and returns its result as a value. A robot that cannot be reached is no end: `timeout` limits the
-    /// wait (`None`: nothing does).
+    /// Blocks until the end of the goal, and returns its result as a value. A robot that cannot be reached does not end the wait:
+    /// `timeout` limits it (`None`: nothing does).
     ///
     /// # Errors
     /// [`Error::TimedOut`] if it has not ended in time: the error states its phase, and for how long it has been in it. The other errors

@@ -107,8 +107,8 @@ fn dig(goal: &Goal) -> Result<String, String> {
     }
     for done in 1..=depth {
         let progress = f64::from(done) / f64::from(depth);
-        let told = goal.feedback(Json(done), Some(progress));
-        told.map_err(|error| error.to_string())?;
+        let sent = goal.feedback(Json(done), Some(progress));
+        sent.map_err(|error| error.to_string())?;
         let slept = goal.sleep(RETRY_INTERVAL);
         slept.map_err(|cancelled| cancelled.to_string())?;
     }
