@@ -127,7 +127,7 @@ def actions(link: Link) -> Iterator[Peer]:
 
 @contextmanager
 def plain_zenoh(link: Link) -> Iterator[Peer]:
-    """What users write without actions: a queryable for the start, and a message for the cancel."""
+    """The usual code without actions: a queryable for the start, and a message for the cancel."""
     started, cancelled = Arrivals(), Arrivals()
     with ExitStack() as stack:
         robot = stack.enter_context(open_client(link.near))

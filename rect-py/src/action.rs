@@ -243,7 +243,7 @@ impl ActionRun {
         };
         let now = Instant::now();
         if action::of_topic(message.topic.as_str()).is_some() {
-            lock(&self.core).on_state(&message, now);
+            lock(&self.core).on_message(&message, now);
             return None;
         }
         let feedback = Feedback::read(&message.payload).ok()?;

@@ -491,13 +491,13 @@ def test_asyncio(routers: Routers) -> None:
                         return await client.start("wombat-2", "async_dig", scoops)
 
             run = await asyncio.wait_for(begin(4), DEADLINE)
-            heard: list[rect.Feedback] = []
-            run.on_feedback(heard.append)
+            received: list[rect.Feedback] = []
+            run.on_feedback(received.append)
             feedback = [one async for one in run]
             assert await run.result(DEADLINE) == "dug"
             # The newest counts, so that some may be missing.
             assert set(feedback) <= {rect.Feedback(scoop, scoop / 4) for scoop in range(4)}
-            assert heard == feedback
+            assert received == feedback
             run = await begin(400)
             with pytest.raises(rect.TimedOut):
                 await run.result(0.01)

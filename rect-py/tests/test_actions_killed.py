@@ -26,7 +26,7 @@ SEED = 61
 RUNS = int(os.environ.get("RECT_KILLED_RUNS", "10"))
 #: How long a client waits for an end at most, in seconds. An end that is lost is known within about 7 s.
 WITHIN = 60.0
-#: What happens while a goal runs, at a random moment of its first half second.
+#: The fault while a goal runs, at a random moment of its first half second.
 FAULTS = [
     "none",
     "kill the server",

@@ -1,7 +1,7 @@
 //! Actions: long tasks of a program, such as driving to a place, with progress, cancel and one end.
 //!
 //! They stand on what there is. An action is a service with an internal topic, which stands in the catalogue; starting a goal and
-//! cancelling it are requests to it ([`order`]). What is known about a goal ([`state`]) is a retained message on the topic
+//! cancelling it are requests to it ([`order`]). The state of a goal ([`state`]) is a retained message on the topic
 //! `actions/<action>/<goal>`, so that the robot's router keeps it, a cut does not matter, and others find the goal. Feedback is a message
 //! on `actions/<action>/<goal>/feedback`. [`server`] decides for the program that carries out goals, and [`run`] for the one that follows
 //! a goal.
@@ -41,7 +41,7 @@ pub const MAX_VALUE: usize = 48 << 10;
 pub const MAX_REASON: usize = 300;
 /// The size up to which an end is urgent, in bytes.
 pub const URGENT_END: usize = 512;
-/// How long a client has to be gone by default until its goal is cancelled.
+/// How long a client has to be away by default until its goal is cancelled.
 pub const LOST_AFTER: Duration = Duration::from_secs(5);
 /// How often feedback is sent at most by default, per second.
 pub const FEEDBACK_PER_S: f64 = 10.0;

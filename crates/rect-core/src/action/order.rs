@@ -64,7 +64,7 @@ impl Order {
             return Err(format!("an order with {length} bytes is too long"));
         }
         let order: Self = payload.value().map_err(|error| {
-            format!("this is no order to an action (docs/reference/registry.md): {error}")
+            format!("this is not an order to an action (docs/reference/registry.md): {error}")
         })?;
         let (Self::Start(Start { id, by, .. }) | Self::Cancel(Cancel { id, by })) = &order;
         if !is_name(id) {

@@ -5,14 +5,19 @@ use super::{
     short,
     state::{Feedback, GoalState, Phase, PROGRAM_ENDED},
 };
-use crate::{message::Message, name::Name, registry::connection::Event, stop::MARKED_WITHIN};
+use crate::{
+    message::{retained::Retained, Message},
+    name::Name,
+    registry::connection::Event,
+    stop::MARKED_WITHIN,
+};
 
 /// The pause between two questions whether somebody carries out the goal. It is lost if two in a row say that nobody does: after a restart
 /// of the robot's router its program gives the state again.
 const ASK_AGAIN: Duration = Duration::from_secs(3);
 /// How long after the return of a robot it is asked.
 const AFTER_RETURN: Duration = Duration::from_secs(1);
-/// How long nothing may be heard of a program without a name, whose end is no event, until its robot is asked.
+/// How long nothing may arrive from a program without a name, whose end is not an event, until its robot is asked.
 const QUIET: Duration = Duration::from_secs(10);
 
 /// A goal, as far as a client knows.
@@ -27,7 +32,7 @@ pub struct ActionRun {
     unreachable_since: Option<Instant>,
     /// When the robot is asked for the state.
     ask_at: Option<Instant>,
-    /// The same, because nothing was heard of a program without a name.
+    /// The same, because nothing has arrived from a program without a name.
     quiet_at: Option<Instant>,
     /// Whether nobody seems to carry it out.
     is_suspected: bool,
@@ -57,7 +62,7 @@ impl ActionRun {
     }
 
     /// Handles a message with the state. Returns whether something has changed.
-    pub fn on_state(&mut self, message: &Message, now: Instant) -> bool {
+    pub fn on_message(&mut self, message: &Message, now: Instant) -> bool {
         if self.has_ended() {
             return false;
         }
@@ -67,7 +72,9 @@ impl ActionRun {
             false => GoalState::read(&message.payload).ok(),
         };
         match state {
-            Some(state) if state.phase.is_end() || !retained.has_ended => self.take(state, now),
+            Some(state) if state.phase.is_end() || !retained.has_ended => {
+                self.take(state, retained.age, now)
+            }
             _ => {
                 self.ask_within(ASK_AGAIN, now);
                 false
@@ -82,11 +89,11 @@ impl ActionRun {
             return false;
         }
         let message = message.filter(|message| !message.is_forgotten());
-        let is_marked = message.and_then(|message| message.retained);
-        let is_marked = is_marked.is_some_and(|retained| retained.has_ended);
+        let retained = message.and_then(|message| message.retained);
+        let Retained { age, has_ended, .. } = retained.unwrap_or_default();
         let state = message.and_then(|message| GoalState::read(&message.payload).ok());
         let reason = match state {
-            Some(state) if state.phase.is_end() || !is_marked => return self.take(state, now),
+            Some(state) if state.phase.is_end() || !has_ended => return self.take(state, age, now),
             Some(_) => PROGRAM_ENDED,
             None => "the robot does not know it any more",
         };
@@ -109,6 +116,11 @@ impl ActionRun {
     /// Handles feedback.
     pub fn on_feedback(&mut self, feedback: Feedback, now: Instant) {
         if !self.has_ended() {
+            if self.state.phase == Phase::Waiting {
+                // The state that says so is under way: only a handler that runs gives feedback.
+                self.state.phase = Phase::Running;
+                self.since = now;
+            }
             self.feedback = Some(feedback);
             self.on_sign_of_life(now);
         }
@@ -177,13 +189,14 @@ impl ActionRun {
         self.state.phase.is_end()
     }
 
-    fn take(&mut self, state: GoalState, now: Instant) -> bool {
+    /// Takes over a state, which came to the router `age` ago.
+    fn take(&mut self, state: GoalState, age: Duration, now: Instant) -> bool {
         self.on_sign_of_life(now);
         if state == self.state {
             return false;
         }
         if state.phase != self.state.phase {
-            self.since = now;
+            self.since = now.checked_sub(age).unwrap_or(now);
         }
         self.state = state;
         if self.has_ended() {

@@ -31,7 +31,7 @@ const MAX_OPEN: usize = 8;
 pub struct Rules {
     /// Whether a new goal is refused while another one runs. Otherwise it preempts the other one.
     pub refuses: bool,
-    /// How long the client of a goal has to be gone until the goal is cancelled; `None`: it is carried out without its client, too.
+    /// How long the client of a goal has to be away until the goal is cancelled; `None`: it is carried out without its client, too.
     pub lost_after: Option<Duration>,
 }
 
@@ -68,7 +68,7 @@ struct Goal {
     is_kept: bool,
     /// How it ends if its handler notices.
     cancelled: Option<(Phase, String)>,
-    /// When it is cancelled, because its client is gone.
+    /// When it is cancelled, because its client is away.
     lost_at: Option<Instant>,
     feedback: Option<Feedback>,
     feedback_at: Option<Instant>,
@@ -92,7 +92,7 @@ pub enum Work {
         id: String,
         /// Its value.
         goal: Value,
-        /// Who has started it.
+        /// The client: `<robot>/<program>`.
         by: String,
     },
     /// Ask the handler of a goal to end.
@@ -426,7 +426,7 @@ impl ActionServer {
             .collect();
         let after = humanize::duration(self.rules.lost_after.unwrap_or_default());
         for (id, by) in gone {
-            let reason = format!("{by} is gone for {after}");
+            let reason = format!("{by} has been away for {after}");
             self.cancel(&id, Phase::Cancelled, &reason, now_ms);
         }
         self.work.pop_front().unwrap_or_else(|| {

@@ -1,5 +1,5 @@
 //! Defines what is known about a goal, which the robot's router keeps, and the feedback of a goal.
-use std::fmt;
+use std::{fmt, time::Duration};
 
 use ciborium::Value;
 use serde::{Deserialize, Serialize};
@@ -58,7 +58,7 @@ pub struct GoalState {
     /// The goal, unless it is long.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub goal: Option<Value>,
-    /// Who has started it: `<robot>/<program>`.
+    /// The client, which has started it: `<robot>/<program>`.
     #[serde(default)]
     pub by: String,
     /// The program that carries it out; empty if it has no name.
@@ -70,6 +70,9 @@ pub struct GoalState {
     /// When it ended.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ended_ms: Option<u64>,
+    /// How long ago it came to the robot's router, if that has told. It does not depend on the robot's clock, and is not part of the bytes.
+    #[serde(skip)]
+    pub age: Duration,
 }
 
 /// A goal of some robot.
@@ -153,6 +156,7 @@ impl GoalState {
             program: String::new(),
             began_ms: 0,
             ended_ms: None,
+            age: Duration::ZERO,
         }
     }
 
@@ -201,6 +205,7 @@ impl KnownGoal {
         if retained.is_forgotten {
             return None;
         }
+        state.age = retained.age;
         if retained.has_ended && !state.phase.is_end() {
             state.phase = Phase::Lost;
             PROGRAM_ENDED.clone_into(&mut state.reason);
@@ -215,7 +220,7 @@ impl KnownGoal {
 }
 
 impl Feedback {
-    /// Creates feedback. A progress that is no number is left out, and one beyond 0 or 1 becomes that.
+    /// Creates feedback. A progress that is not a number is left out, and one beyond 0 or 1 becomes that.
     pub fn new(value: Value, progress: Option<f64>) -> Self {
         let progress = progress.filter(|progress| !progress.is_nan());
         Self {

@@ -59,7 +59,7 @@ struct Program {
     given: BTreeMap<String, Payload>,
 }
 
-/// What has happened to a goal.
+/// The history of a goal.
 #[derive(Debug, Default)]
 struct History {
     began: u32,
@@ -409,7 +409,7 @@ impl World {
                     Payload::new("", Encoding::BYTES),
                 )
             };
-            run.on_state(&message.clone().unwrap_or_else(forgotten), now);
+            run.on_message(&message.clone().unwrap_or_else(forgotten), now);
             client.seen = payload;
         }
         if run.asks(now) {
@@ -525,7 +525,7 @@ fn each_goal_begins_at_most_once_and_has_one_true_end_in_10000_runs() {
             }
             world.chaos();
         }
-        // A client that is there within the stated time learns of the end.
+        // A client that is reachable within the stated time learns of the end.
         world.set_linked(true);
         for _ in 0..600 {
             world.step();
@@ -797,13 +797,13 @@ fn the_end_of_a_program_is_believed_when_it_was_seen_twice() {
             .write(),
         )
     };
-    assert!(run.on_state(&message(false), now));
+    assert!(run.on_message(&message(false), now));
     let (robot, program) = (name("wombat-2"), name("digger"));
     run.on_event(&Event::ProgramDown { robot, program }, now);
     assert!(run.asks(now + MARKED_WITHIN));
     // Its router has just restarted.
     assert!(!run.on_answer(Some(&message(true)), now) && !run.has_ended());
-    assert!(!run.on_state(&message(false), now));
+    assert!(!run.on_message(&message(false), now));
     run.on_no_answer(now);
     for _ in 0..2 {
         let at = run.deadline().expect("it asks");
@@ -838,4 +838,23 @@ fn a_result_waits_for_a_router_that_restarts_and_is_left_out_where_there_is_no_r
         bench.server.on_published(&id, Ok(()), bench.now, 5);
         assert!(bench.server.is_finished());
     }
+}
+
+#[test]
+fn the_phase_of_a_found_goal_began_when_the_router_received_it_and_feedback_shows_that_it_runs() {
+    let now = Instant::now() + Duration::from_secs(3600);
+    let mut run = ActionRun::new(name("robot"), now);
+    run.on_feedback(Feedback::new(Value::Null, Some(0.5)), now);
+    assert_eq!(run.state().phase, Phase::Running);
+    let state = GoalState::new(Phase::Cancelling).write();
+    let mut message = Message::new(name("robot"), topic_of("a"), state);
+    let age = Duration::from_secs(60);
+    message.retained = Some(Retained {
+        age,
+        ..Retained::default()
+    });
+    assert!(run.on_state(&message, now));
+    assert_eq!(run.since(), now - age);
+    let known = KnownGoal::of(&message).expect("a goal");
+    assert_eq!(known.state.age, age);
 }

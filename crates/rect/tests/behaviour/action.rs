@@ -205,7 +205,7 @@ async fn a_goal_whose_program_ends_is_lost_and_one_whose_client_ends_is_cancelle
     let found = soon(base.find("wombat", "dig", &id)).await.expect("found");
     soon(laptop.close()).await.expect("closed");
     let reason = ended(&found, Phase::Cancelled).await;
-    assert_eq!(reason, "laptop is gone for 300 ms");
+    assert_eq!(reason, "laptop has been away for 300 ms");
     assert!(matches!(soon(run.end()).await, Err(Error::Closed)));
 
     let alone = ActionOptions::new("scan").lost_after(None);

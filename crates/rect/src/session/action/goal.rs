@@ -23,7 +23,7 @@ pub struct Goal {
     pub(super) shared: Arc<Shared>,
     /// The id, which its client has chosen.
     pub id: String,
-    /// Who has started it: `<robot>/<program>`. Zenoh does not verify the name.
+    /// The client, which has started it: `<robot>/<program>`. Zenoh does not verify the name.
     pub by: String,
     /// The goal itself: `goal.payload.value::<Target>()`. Empty if its client has given none.
     pub payload: Payload,
@@ -63,7 +63,7 @@ impl Goal {
         Ok(())
     }
 
-    /// Returns whether the handler should end: somebody has cancelled the goal, a newer one takes its place, its client is gone, or the
+    /// Returns whether the handler should end: somebody has cancelled the goal, a newer one takes its place, its client has been away for too long, or the
     /// fleet is stopped. If the handler returns after this was true, the goal counts as cancelled, and otherwise as done.
     pub fn is_cancelled(&self) -> bool {
         self.cancel_reason().is_some()

@@ -35,7 +35,7 @@ impl ActionOptions {
         self
     }
 
-    /// Cancels a goal when its client has been gone for that long: its program has ended, or its robot cannot be reached. Default: 5 s.
+    /// Cancels a goal when its client has been away for that long: its program has ended, or its robot cannot be reached. Default: 5 s.
     /// `None`: the goal is carried out without its client, too.
     #[must_use]
     pub fn lost_after(mut self, time: Option<Duration>) -> Self {

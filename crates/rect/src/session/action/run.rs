@@ -55,7 +55,7 @@ struct Followed {
     changes: watch::Sender<()>,
 }
 
-/// What is received of a goal.
+/// The subscriptions to a goal.
 struct Received {
     states: Subscriber<Payload>,
     feedback: Subscriber<Payload>,
@@ -274,7 +274,7 @@ impl Followed {
                 biased;
                 message = states.next() => {
                     let Some(message) = message else { return };
-                    lock(&self.run).on_state(&message, Instant::now())
+                    lock(&self.run).on_message(&message, Instant::now())
                 }
                 message = feedback.next() => {
                     let Some(message) = message else { return };
@@ -400,7 +400,7 @@ impl ActionRun {
             .await
     }
 
-    /// Waits for the end of the goal, and returns its result as a value. A robot that cannot be reached is no end: set a limit with
+    /// Waits for the end of the goal, and returns its result as a value. A goal does not end because its robot cannot be reached: set a limit with
     /// [`tokio::time::timeout`] if you do not want to wait for it.
     ///
     /// # Errors

@@ -70,7 +70,7 @@ pub(super) struct Shared {
     is_closing: AtomicBool,
 }
 
-/// What an action follows.
+/// The events that an action follows.
 struct Followed {
     requests: Option<Requests>,
     events: Events,
@@ -85,7 +85,7 @@ impl Robot {
     ///
     /// Each goal has one end, which its client learns also after a cut. The robot's router keeps it for 10 minutes, and at most 16 for each
     /// action. A handler that is cancelled should end soon ([`Goal::is_cancelled`]): a newer goal waits for that. A goal is also
-    /// cancelled when its client is gone for 5 s, and by the [stop of the fleet](Self::fleet_stop), in which this program takes part.
+    /// cancelled when its client has been away for 5 s, and by the [stop of the fleet](Self::fleet_stop), in which this program takes part.
     ///
     /// ```no_run
     /// # use std::time::Duration;
