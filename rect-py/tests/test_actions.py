@@ -156,6 +156,26 @@ def test_done_with_feedback_and_result(robots: Robots) -> None:
     assert list(run) == feedback[-1:]
 
 
+def test_feedback_that_a_busy_link_blocks_delays_nothing(robots: Robots, monkeypatch: pytest.MonkeyPatch) -> None:
+    blocked, continues = threading.Event(), threading.Event()
+
+    def publish(*_: Any) -> None:
+        blocked.set()
+        assert continues.wait(DEADLINE)
+
+    monkeypatch.setattr(robots.server._session, "publish", publish)
+
+    @robots.server.action("chatty")
+    def chatty(goal: rect.Goal[Any]) -> str:
+        while not blocked.is_set():
+            goal.feedback("x" * 40_000)
+            goal.sleep(0.01)
+        return "dug"
+
+    assert robots.start("chatty").result(DEADLINE) == "dug"
+    continues.set()
+
+
 def test_newer_goal_is_refused_by_an_action_that_is_busy(robots: Robots) -> None:
     handler = Handler()
     robots.server.action("refusing", handler.wait, when_busy="refuse")

@@ -172,6 +172,8 @@ class ActionExecutor:
         self._orders: dict[int, Request[Any]] = {}
         self._number = 0
         self._works, self._publishes = threading.Event(), threading.Event()
+        #: The goal and the feedback that is sent next; created with the thread that sends it.
+        self._feedback: ReceiveQueue[tuple[str, Payload]] | None = None
         #: Whether no goal begins any more.
         self._is_closing = False
         self._is_ended = False
@@ -261,6 +263,8 @@ class ActionExecutor:
         self._session.handles.discard(self)
         with contextlib.suppress(ValueError):
             self._session.before_close.remove(self.finish)
+        if self._feedback is not None:
+            self._feedback.close()
         if self._stops is not None:
             self._stops.close()
         if self._observer is not None:
@@ -362,8 +366,7 @@ class ActionExecutor:
                     self._wake()
                 elif step == "feedback":
                     id, feedback = of_step
-                    topic = _rect.goal_feedback_topic(self.name, id)
-                    self._session.publish(topic, None, Payload(*feedback), "bulk", None)
+                    self._send(id, Payload(*feedback))
                 elif step == "forget":
                     self._session.state.forget(_rect.goal_topic(self.name, of_step[0]))
                 elif self._is_closing and self._core.is_finished:
@@ -374,6 +377,28 @@ class ActionExecutor:
                 return
             except RectError as error:
                 self._warn(str(error))
+
+    def _send(self, id: str, feedback: Payload) -> None:
+        """Sends feedback on a thread of its own: a busy link blocks it, and states must not wait for that.
+
+        The newest replaces one that waits.
+        """
+        if self._feedback is None:
+            self._feedback = ReceiveQueue(1, "drop_oldest")
+            self._session.start(f"rect {self.name} feedback", self._send_feedback)
+        self._feedback.push((id, feedback))
+
+    def _send_feedback(self) -> None:
+        assert self._feedback is not None
+        # The session or the action may be closed meanwhile.
+        with contextlib.suppress(Ended, Closed):
+            while True:
+                id, feedback = self._feedback.pop()
+                try:
+                    self._session.publish(_rect.goal_feedback_topic(self.name, id), None, feedback, "bulk", None)
+                except RectError as error:
+                    self._session.check()
+                    self._warn(str(error))
 
     def _retain(self, id: str, state: Payload, urgency: str) -> str | None:
         """Publishes the state of a goal. Returns the reason if nobody keeps it. Raises `Closed`."""
