@@ -11,7 +11,7 @@ use super::{
     order::{Cancel, Order, Start},
     run::ActionRun,
     server::{ActionServer, Outcome, Publication, Rules, Work},
-    state::{Feedback, GoalState, Phase},
+    state::{Feedback, GoalState, KnownGoal, Phase},
     *,
 };
 use crate::{
@@ -843,17 +843,22 @@ fn a_result_waits_for_a_router_that_restarts_and_is_left_out_where_there_is_no_r
 #[test]
 fn the_phase_of_a_found_goal_began_when_the_router_received_it_and_feedback_shows_that_it_runs() {
     let now = Instant::now() + Duration::from_secs(3600);
-    let mut run = ActionRun::new(name("robot"), now);
+    let mut run = ActionRun::new(name("wombat-2"), now);
     run.on_feedback(Feedback::new(Value::Null, Some(0.5)), now);
     assert_eq!(run.state().phase, Phase::Running);
-    let state = GoalState::new(Phase::Cancelling).write();
-    let mut message = Message::new(name("robot"), topic_of("a"), state);
     let age = Duration::from_secs(60);
-    message.retained = Some(Retained {
-        age,
-        ..Retained::default()
-    });
-    assert!(run.on_state(&message, now));
+    let message = Message {
+        retained: Some(Retained {
+            age,
+            ..Retained::default()
+        }),
+        ..Message::new(
+            name("wombat-2"),
+            topic("dig", "a").parse().expect("a topic"),
+            GoalState::new(Phase::Cancelling).write(),
+        )
+    };
+    assert!(run.on_answer(Some(&message), now));
     assert_eq!(run.since(), now - age);
     let known = KnownGoal::of(&message).expect("a goal");
     assert_eq!(known.state.age, age);
