@@ -116,6 +116,7 @@ impl DeadmanSwitch {
         let mut state = lock(&self.0.state);
         match kind.as_str() {
             "peer_down" => state.switch.on_gone(&robot),
+            "peer_up" => state.switch.on_returned(Instant::now(), &robot),
             "program_down" => state.switch.on_program_gone(Instant::now(), &robot),
             _ => return Ok(()),
         }

@@ -3,7 +3,10 @@
 //! It is lost before the first command, when none arrives for some time, when the commander cannot be reached, and while the fleet is
 //! [stopped](crate::stop). After a stop, commands count only once a neutral one has arrived: the release alone moves nothing, and a stick
 //! that somebody still holds does not either.
-use std::time::{Duration, Instant};
+use std::{
+    collections::BTreeMap,
+    time::{Duration, Instant},
+};
 
 use serde_json::Value;
 
@@ -22,6 +25,10 @@ pub const MAX_WITHIN: Duration = Duration::from_secs(60);
 pub const ENDED: &str = "the dead man's switch has ended";
 /// How long a robot follows after a program of its commander has ended.
 const PROGRAM_GONE: Duration = Duration::from_millis(100);
+/// How long the commands of a robot that has returned do not count: meanwhile its router tells of the stops that were pressed since.
+const RETURNING: Duration = Duration::from_millis(500);
+/// The maximum number of robots that are remembered as unreachable.
+const MAX_ROBOTS: usize = 256;
 
 /// Whether a robot follows its commander.
 #[derive(Debug)]
@@ -30,6 +37,8 @@ pub struct Deadman {
     /// When the commander is lost; `None` while it is.
     deadline: Option<Instant>,
     commander: Option<Name>,
+    /// The robots that cannot be reached, or have returned, and then when their commands count.
+    away: BTreeMap<Name, Option<Instant>>,
     is_stopped: bool,
     needs_neutral: bool,
     /// Why the commander was lost, until the program is notified.
@@ -49,6 +58,7 @@ impl Deadman {
             within,
             deadline: None,
             commander: None,
+            away: BTreeMap::new(),
             is_stopped: false,
             needs_neutral: false,
             lost: Some("no command has arrived yet".to_owned()),
@@ -61,7 +71,7 @@ impl Deadman {
         if message.retained.is_some() || message.replayed || message.problem().is_some() {
             return false;
         }
-        if self.is_stopped {
+        if self.is_stopped || self.is_away(now, &message.sender) {
             return false;
         }
         if self.needs_neutral {
@@ -82,6 +92,28 @@ impl Deadman {
         if self.commander.as_ref() == Some(robot) {
             self.lose(|| format!("{robot} cannot be reached"));
         }
+        if self.away.len() < MAX_ROBOTS {
+            self.away.insert(robot.clone(), None);
+        }
+    }
+
+    /// Handles that a robot can be reached again. Its commands count a moment later: before, it may have pressed a stop that is not known
+    /// here.
+    pub fn on_returned(&mut self, now: Instant, robot: &Name) {
+        if let Some(until) = self.away.get_mut(robot) {
+            until.get_or_insert(now + RETURNING);
+        }
+    }
+
+    fn is_away(&mut self, now: Instant, robot: &Name) -> bool {
+        let has_returned = match self.away.get(robot) {
+            None => return false,
+            Some(until) => until.is_some_and(|until| until <= now),
+        };
+        if has_returned {
+            self.away.remove(robot);
+        }
+        !has_returned
     }
 
     /// Handles that a program of a robot has ended. It may be another one than the commander, whose next command is soon due then.
@@ -250,6 +282,22 @@ mod tests {
         );
         switch.on_gone(&Name::new("laptop").expect("valid"));
         assert_eq!(switch.poll(start), None);
+    }
+
+    #[test]
+    fn commands_of_a_robot_that_has_returned_count_a_moment_later() {
+        let (mut switch, start) = switch();
+        let laptop = Name::new("laptop").expect("valid");
+        switch.on_returned(start, &laptop);
+        assert!(switch.on_command(start, &command("laptop", 1.0)));
+        switch.on_gone(&laptop);
+        // A message may arrive before the event.
+        assert!(!switch.on_command(after(start, 5000), &command("laptop", 1.0)));
+        assert!(switch.on_command(after(start, 5000), &command("base", 1.0)));
+        switch.on_returned(after(start, 5000), &laptop);
+        switch.on_returned(after(start, 5400), &laptop);
+        assert!(!switch.on_command(after(start, 5499), &command("laptop", 1.0)));
+        assert!(switch.on_command(after(start, 5500), &command("laptop", 1.0)));
     }
 
     #[test]

@@ -110,6 +110,7 @@ impl<T: FromPayload> DeadmanCalls<T> {
                 }
                 event = events.next() => match event? {
                     Event::PeerDown { robot } => switch.on_gone(&robot),
+                    Event::PeerUp { robot } => switch.on_returned(Instant::now(), &robot),
                     Event::ProgramDown { robot, .. } => {
                         switch.on_program_gone(Instant::now(), &robot);
                     }
