@@ -345,6 +345,10 @@ static void safety(rect_robot one, rect_robot two) {
         must(rect_deadman_is_following(deadman, &is_following, &error), "is_following");
     } while (is_following);
     must(rect_fleet_stop_release(stop, &error), "release");
+    /* The other robot has to know that, too: it refuses goals of actions while the fleet is stopped. */
+    do {
+        must(rect_fleet_stop_confirmation(stop, "wombat-2", &confirmation, &error), "confirmation");
+    } while (confirmation != RECT_CONFIRMATION_CONFIRMED);
     must(rect_drop(&stop.id, &error), "drop");
     must(rect_drop(&deadman.id, &error), "drop");
     check(calls == 3001, "one command and three losses were reported");
