@@ -397,6 +397,8 @@ def test_unknown_action_is_reported_with_a_hint(robots: Robots) -> None:
     assert "did you mean drive_to" in str(unknown.value)
     assert (unknown.value.robot, unknown.value.action) == ("wombat-2", "drive_too")
     assert "drive_to" in unknown.value.available
+    with pytest.raises(rect.NoAction, match="is the robot reachable, and its program running"):
+        robots.client.start("wombat-9", "drive_to")
 
 
 def test_value_that_is_too_large_is_refused_with_advice(robots: Robots) -> None:

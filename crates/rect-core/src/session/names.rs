@@ -65,6 +65,11 @@ pub fn no_action(robot: &Name, action: &str, available: &[String]) -> String {
              expression <fleet>/*/@rect/@set/actions/** (docs/how-to/long-tasks.md)"
         );
     }
+    if available.is_empty() {
+        return format!(
+            "no program of {robot} has the action {action}, nor any other one: is the robot reachable, and its program running?"
+        );
+    }
     let names = available.iter().map(String::as_str);
     let actions = in_words("its actions", action, names);
     format!("no program of {robot} has the action {action}; {actions}")
