@@ -1,5 +1,6 @@
 //! The `rect` command of RECT, the Robot Extensible Communication Toolkit. This file parses the arguments, runs the
 //! selected command, and sets the exit status. Each command has a separate module.
+mod action;
 mod air;
 mod alert;
 mod bench;
@@ -56,6 +57,7 @@ Examples on a robot with a router (`sudo rect init wombat-1 --start` configures 
   rect sub '*/arm/*'                       # prints the messages of all robots on these topics
   rect send wombat-2 grab '{\"force\": 3}'   # sends to one robot only
   rect stream watch wombat-2/camera        # receives a stream of pictures
+  rect action start wombat-2 dig 3         # starts a long task, shows how far it is, and cancels it with Ctrl-C
   rect param set wombat-2/drive kp=2.0     # changes a parameter of a program that runs
   rect stop                                # stops all robots until somebody releases the stop
   rect transfer send wombat-2 map.bin      # sends a file of any size
@@ -97,6 +99,7 @@ enum Command {
     Topic(topic::TopicArguments),
     Program(program::ProgramArguments),
     Service(program::ServiceArguments),
+    Action(action::ActionArguments),
     Param(parameter::ParamArguments),
     Stop(stop::StopArguments),
     Run(run::RunArguments),
@@ -164,6 +167,7 @@ fn main() -> ExitCode {
         Command::Topic(arguments) => wait_on_one_thread(topic::run(arguments)),
         Command::Program(arguments) => wait_on_one_thread(program::programs(arguments)),
         Command::Service(arguments) => wait_on_one_thread(program::services(arguments)),
+        Command::Action(arguments) => action::run(arguments),
         Command::Param(arguments) => wait_on_one_thread(parameter::run(arguments)),
         Command::Stop(arguments) => wait_on_one_thread(stop::run(arguments)),
         Command::Run(arguments) => wait(run::run(arguments)),

@@ -19,6 +19,7 @@ const MAX_BYTES: u64 = 16 << 20;
 #[derive(Args, Clone, Debug)]
 pub struct PayloadArguments {
     /// The value, sent as JSON if it is valid JSON, otherwise as text; `-` reads stdin [default: an empty text]
+    #[arg(allow_negative_numbers = true)]
     value: Option<String>,
     /// Send this file instead; its extension determines the encoding: .json, .txt, .png, .jpg, .webp, .cbor, else bytes
     #[arg(long, value_name = "FILE", conflicts_with = "value")]

@@ -1,4 +1,5 @@
 //! Tests the command `rect`, connected to robots in the test's own process: `cargo test -p rect-cli --test command`
+mod action;
 mod log;
 #[path = "../../../rect/tests/pair/mod.rs"]
 mod pair;
