@@ -2,7 +2,7 @@
 
 import { canDecode } from "./video.js";
 
-const VERSION = 7;
+const VERSION = 8;
 const STATE = 1;
 /** How long nothing may arrive before the connection counts as lost. The program sends the time every 3 s. */
 const SILENT_AFTER_MS = 10_000;
@@ -25,7 +25,7 @@ export class Link extends EventTarget {
   #nextId = 1;
   #answers = new Map();
   #watches = new Map();
-  #shows = { topics: false };
+  #shows = { topics: false, actions: false };
 
   start() {
     this.#connect();
@@ -78,8 +78,17 @@ export class Link extends EventTarget {
 
   /** Sets whether the list of topics is shown. */
   showTopics(topics) {
-    this.#shows = { topics };
-    this.#send({ type: "show", topics });
+    this.#show({ topics });
+  }
+
+  /** Sets whether the goals of actions are shown. */
+  showActions(actions) {
+    this.#show({ actions });
+  }
+
+  #show(shown) {
+    this.#shows = { ...this.#shows, ...shown };
+    this.#send({ type: "show", ...this.#shows });
   }
 
   #connect() {

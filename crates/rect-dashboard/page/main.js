@@ -17,6 +17,7 @@ const VIEWS = {
   log: later(() => import("./log.js").then((view) => view.log)),
   topics,
   services,
+  actions: later(() => import("./actions.js").then((view) => view.actions)),
   parameters: later(() => import("./parameters.js").then((view) => view.parameters)),
   cameras,
   connections: later(() => import("./connections.js").then((view) => view.connections)),
@@ -27,6 +28,7 @@ const NAMES = {
   log: "Log",
   topics: "Topics",
   services: "Services",
+  actions: "Actions",
   parameters: "Parameters",
   cameras: "Cameras",
   connections: "Connections",
@@ -93,14 +95,14 @@ function header() {
   const title = h("span", { class: "title" }, "RECT");
   const condition = h("span", { class: "condition", role: "status" });
   const dropped = h("span", { class: "dropped" });
-  const actions = h("div", { class: "actions" });
+  const commands = h("div", { class: "commands" });
   const stop = stopButton(link);
   const entries = Object.entries(NAMES).map(([name, text]) => h("a", { href: `#${name}` }, text));
   link.addEventListener("hello", () => {
     const { robot, fleet: name, read_only: readOnly, logged_in: loggedIn, record } = link.states.hello;
     setText(title, `RECT · ${name}`);
     title.title = `connected through ${robot}${readOnly ? ", read-only" : ""}`;
-    actions.replaceChildren(
+    commands.replaceChildren(
       ...[
         record && !readOnly && recordButton(),
         stop.button,
@@ -137,7 +139,7 @@ function header() {
       alertCount(link),
       dropped,
       h("nav", { "aria-label": "Views" }, entries),
-      actions,
+      commands,
       stop.area,
     );
 }

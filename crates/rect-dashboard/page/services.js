@@ -1,5 +1,6 @@
 // The view of the services: what the programs of each robot offer, and a form to send requests to them.
 
+import { actionOf } from "./goals.js";
 import { eachFrame, h, setText, table, updateList } from "./dom.js";
 import { visible } from "./format.js";
 import { sendForm } from "./send.js";
@@ -56,7 +57,9 @@ function card(form) {
 
 /** Returns the services of a program; one line without a service if it has none. */
 function lines(program) {
-  const ordinary = program.services.filter(({ parameters }) => parameters === undefined);
+  const ordinary = program.services.filter(
+    ({ topic, parameters }) => parameters === undefined && actionOf(topic) === null,
+  );
   const served = ordinary.map((service) => ({ program, service }));
   return served.length > 0 ? served : [{ program, service: null }];
 }

@@ -1,7 +1,7 @@
-//! Executes the commands of the page that are answered: publish, request, connections, check, parameters, stop and record.
+//! Executes the commands of the page that are answered: publish, request, connections, check, parameters, actions, stop and record.
 use std::time::{Duration, Instant};
 
-use rect::{Error, Name, NamedConnection, ParameterOrder, Payload, Topic};
+use rect::{Error, Name, NamedConnection, ParameterOrder, Payload, Phase, Topic};
 use rect_core::message::payload;
 use rect_recording::view;
 use serde_json::{json, Value};
@@ -31,6 +31,8 @@ pub fn id_of(command: &Command) -> u32 {
         | Command::Disconnect { id, .. }
         | Command::Check { id, .. }
         | Command::SetParameters { id, .. }
+        | Command::StartAction { id, .. }
+        | Command::CancelAction { id, .. }
         | Command::Stop { id }
         | Command::ReleaseStop { id }
         | Command::Record { id, .. } => *id,
@@ -91,12 +93,25 @@ pub async fn execute(app: &App, command: Command, access: Access, user: Option<&
             let setting = app.robot.with_timeout(TIMEOUT);
             match setting.set_parameters(robot.as_str(), &group, order).await {
                 Ok(in_force) => Ok(json!(in_force)),
-                // The page shows it at the parameter.
-                Err(Error::Service { payload, .. }) => {
-                    Err(String::from_utf8_lossy(&payload.bytes).into_owned())
-                }
-                Err(error) => Err(text(error)),
+                Err(error) => Err(refusal(error)),
             }
+        }
+        Command::StartAction {
+            robot,
+            action,
+            value,
+            ..
+        } => start(app, &robot, &action, value).await,
+        Command::CancelAction {
+            robot,
+            action,
+            goal,
+            ..
+        } => {
+            let finding = app.robot.with_timeout(TIMEOUT);
+            let found = finding.find(robot.as_str(), &action, &goal).await;
+            let cancelled = found.map_err(text)?.cancel().await;
+            cancelled.map(|()| Value::Null).map_err(refusal)
         }
         Command::Stop { .. } => {
             let by = user.unwrap_or("dashboard");
@@ -153,6 +168,17 @@ async fn request(app: &App, robot: &str, topic: &str, value: String) -> Answer {
     Ok(json!({"reply": view::value(&reply.payload), "ms": milliseconds(started)}))
 }
 
+/// Starts a goal, which goes on when the page is closed.
+async fn start(app: &App, robot: &str, action: &str, value: String) -> Answer {
+    let starting = app.robot.with_timeout(TIMEOUT);
+    let run = starting.start(robot, action, payload::typed(value)).await;
+    let run = run.map_err(text)?;
+    match run.phase() {
+        Phase::Refused => Err(format!("refused: {}", run.reason())),
+        _ => Ok(json!({"goal": run.id()})),
+    }
+}
+
 async fn connect(app: &App, robot: &str, form: ConnectionForm) -> Answer {
     let ConnectionForm {
         name,
@@ -168,6 +194,14 @@ async fn connect(app: &App, robot: &str, form: ConnectionForm) -> Answer {
 
 fn milliseconds(since: Instant) -> f64 {
     (since.elapsed().as_secs_f64() * 10_000.0).round() / 10.0
+}
+
+/// Returns the reason of a refusal alone: the page shows it beside what was refused.
+fn refusal(error: Error) -> String {
+    match error {
+        Error::Service { payload, .. } => String::from_utf8_lossy(&payload.bytes).into_owned(),
+        error => text(error),
+    }
 }
 
 fn text(error: impl std::fmt::Display) -> String {

@@ -1,6 +1,7 @@
 //! Serves RECT's dashboard, a page that shows the robots, their links and their data in a browser. `rect dashboard` runs it.
 //!
 //! [`Dashboard::bind`] checks the settings and listens, [`Dashboard::serve`] shows what a robot sees to all browsers.
+mod actions;
 mod alerts;
 mod browsers;
 mod commands;
@@ -32,8 +33,8 @@ use rect::Robot;
 use tokio::{net::TcpListener, time::interval};
 
 use self::{
-    alerts::Alerts, browsers::Browsers, feed::Feeds, guard::Guard, login::Logins, logs::Logs,
-    recording::Recording, server::Protection, stop::StopButton,
+    actions::Actions, alerts::Alerts, browsers::Browsers, feed::Feeds, guard::Guard, login::Logins,
+    logs::Logs, recording::Recording, server::Protection, stop::StopButton,
 };
 
 /// How often the state of a recording is shown.
@@ -93,6 +94,7 @@ struct App {
     feeds: Feeds,
     logs: Logs,
     alerts: Arc<Alerts>,
+    actions: Arc<Actions>,
     recording: Option<Recording>,
     stop: Arc<StopButton>,
     read_only: bool,
@@ -130,6 +132,7 @@ impl Dashboard {
         let app = Arc::new(App {
             stop: StopButton::new(robot.clone(), browsers.clone()),
             alerts: Alerts::new(robot.clone(), browsers.clone()),
+            actions: Actions::new(robot.clone(), browsers.clone()),
             browsers,
             feeds: Feeds::new(robot.clone()),
             logs: Logs::new(robot.clone()),
@@ -143,6 +146,8 @@ impl Dashboard {
         tokio::spawn(async move { stop.run().await });
         let alerts = app.alerts.clone();
         tokio::spawn(async move { alerts.run().await });
+        let actions = app.actions.clone();
+        tokio::spawn(async move { actions.run().await });
         let shown = app.clone();
         tokio::spawn(async move { show_recording(&shown).await });
         Ok(Serving {

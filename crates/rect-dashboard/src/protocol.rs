@@ -6,14 +6,14 @@
 use std::{collections::BTreeMap, time::SystemTime};
 
 use axum::body::Bytes;
-use rect::{Connection, Level, ParameterValue, Program};
+use rect::{Connection, Level, ParameterValue, Phase, Program};
 use rect_core::clock::unix::ms_since_1970;
 use rect_recording::report::EventReport;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 /// The version of these messages. A page of another version reloads itself.
-pub const VERSION: u32 = 7;
+pub const VERSION: u32 = 8;
 /// The kind of a message that contains a [`State`].
 pub const STATE: u8 = 1;
 /// The kind of a message that contains a value of a topic.
@@ -29,6 +29,9 @@ pub enum Command {
     Show {
         /// Whether it shows the topics, which the routers count only while somebody asks for them.
         topics: bool,
+        /// Whether it shows the goals of actions, which are received only while somebody shows them.
+        #[serde(default)]
+        actions: bool,
     },
     /// Receive a topic.
     Watch {
@@ -121,6 +124,28 @@ pub enum Command {
         /// The parameters that get their defaults.
         reset: Vec<String>,
     },
+    /// Start a goal of an action. The answer has its id.
+    StartAction {
+        /// The number of the answer.
+        id: u32,
+        /// The robot.
+        robot: String,
+        /// The action.
+        action: String,
+        /// The goal: JSON, or else a text.
+        value: String,
+    },
+    /// Cancel a goal.
+    CancelAction {
+        /// The number of the answer.
+        id: u32,
+        /// The robot.
+        robot: String,
+        /// The action.
+        action: String,
+        /// The id of the goal.
+        goal: String,
+    },
     /// Stop the fleet. [`State::Stop`] says how far the robots have followed.
     Stop {
         /// The number of the answer.
@@ -198,6 +223,16 @@ pub enum State<'a> {
     Alerts {
         /// The alerts, by robot and name.
         alerts: &'a [&'a AlertState],
+    },
+    /// The goals of actions, while a page shows them.
+    Actions {
+        /// The goals, of which the one that has changed last is the first.
+        goals: &'a [&'a GoalRow],
+    },
+    /// The newest feedback of the goals that have not ended, while a page shows them.
+    Feedback {
+        /// The goals of which there is any.
+        goals: &'a [&'a FeedbackRow],
     },
     /// The time, every three seconds.
     Time {
@@ -290,6 +325,46 @@ pub struct AlertState {
     pub program: String,
     /// Whether that program has ended.
     pub has_ended: bool,
+}
+
+/// A goal of an action.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct GoalRow {
+    /// The robot that carries it out.
+    pub robot: String,
+    /// The action.
+    pub action: String,
+    /// The id.
+    pub id: String,
+    /// How far it has come.
+    pub phase: Phase,
+    /// Why it has ended, or is asked to; empty if that is clear.
+    pub reason: String,
+    /// The goal as JSON; `None` if it is null or long.
+    pub goal: Option<String>,
+    /// The result as JSON.
+    pub result: Option<String>,
+    /// The client, which has started it: `<robot>/<program>`.
+    pub by: String,
+    /// The program that carries it out; empty if it has no name.
+    pub program: String,
+    /// Since when it is in this phase, in milliseconds since 1970 by this computer's clock.
+    pub since_ms: u64,
+}
+
+/// The newest feedback of a goal.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct FeedbackRow {
+    /// The robot that carries it out.
+    pub robot: String,
+    /// The action.
+    pub action: String,
+    /// The id of the goal.
+    pub id: String,
+    /// How much is done, from 0 to 1.
+    pub progress: Option<f64>,
+    /// The value as JSON.
+    pub value: Option<String>,
 }
 
 /// A topic, as the router of its robot has counted it.

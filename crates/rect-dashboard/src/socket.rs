@@ -10,6 +10,7 @@ use tokio::{
 };
 
 use crate::{
+    actions::ShowingActions,
     browsers::ShowingTopics,
     commands,
     feed::FeedKey,
@@ -44,6 +45,7 @@ struct Browser<'a, F> {
     permits: Arc<Semaphore>,
     stop_permits: Arc<Semaphore>,
     showing_topics: Option<ShowingTopics>,
+    showing_actions: Option<ShowingActions>,
     /// The lines that it receives, and their number.
     showing_log: Option<(u32, ShowingLog)>,
 }
@@ -83,6 +85,7 @@ pub async fn run<F: Fn() -> Access>(
         permits: Arc::new(Semaphore::new(MAX_COMMANDS)),
         stop_permits: Arc::new(Semaphore::new(MAX_STOPS)),
         showing_topics: None,
+        showing_actions: None,
         showing_log: None,
     };
     browser
@@ -165,11 +168,13 @@ impl<F: Fn() -> Access> Browser<'_, F> {
             serde_json::from_str(text).map_err(|error| format!("not a command: {error}"))?;
         while self.tasks.try_join_next().is_some() {}
         match command {
-            Command::Show { topics: true } => {
-                let count = || self.app.browsers.count_topics();
-                self.showing_topics.get_or_insert_with(count);
+            Command::Show { topics, actions } => {
+                let (shown, app) = (&mut self.showing_topics, self.app);
+                *shown =
+                    topics.then(|| shown.take().unwrap_or_else(|| app.browsers.count_topics()));
+                let shown = &mut self.showing_actions;
+                *shown = actions.then(|| shown.take().unwrap_or_else(|| app.actions.show()));
             }
-            Command::Show { topics: false } => self.showing_topics = None,
             Command::Watch {
                 id,
                 topic,
