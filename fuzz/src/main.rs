@@ -17,6 +17,7 @@ macro_rules! targets {
 }
 
 targets! {
+    action,
     advertisement,
     any,
     attachment,

@@ -459,8 +459,11 @@ impl ActionServer {
                     };
                 }
             }
-            if let Some(id) = self.forgotten.pop_front() {
-                return Publication::Forget { id };
+            while let Some(id) = self.forgotten.pop_front() {
+                // Somebody may have started it again since.
+                if !self.goals.contains_key(&id) {
+                    return Publication::Forget { id };
+                }
             }
         }
         let is_due =
