@@ -9,7 +9,17 @@ from playwright.sync_api import Browser, expect
 from test_log import Program
 from test_views import repeat
 
-VIEWS = ["fleet", "log", "topics/wombat-2%2Farm%2Fstate", "services", "parameters", "cameras", "connections", "events"]
+VIEWS = [
+    "fleet",
+    "log",
+    "topics/wombat-2%2Farm%2Fstate",
+    "services",
+    "actions",
+    "parameters",
+    "cameras",
+    "connections",
+    "events",
+]
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
@@ -29,10 +39,19 @@ def test_views_are_accessible(chromium: Browser, fleet: Fleet, dashboard: str, s
             if view == "log":
                 Program(robot, "arm").log("slow", level="warn", logger="gripper", source="arm.py:12")
                 expect(page.locator(".entry").first).to_be_visible()
+            if view == "actions":
+                action = robot.action("dig", lambda goal: goal.sleep(60), about="digs a hole")
+                for _ in range(2):
+                    run = robot.start("wombat-2", "dig", 3)
+                expect(page.get_by_role("progressbar", include_hidden=True)).to_have_count(1)
+                expect(page.get_by_text("preempted").first).to_be_visible()
             if view.startswith("topics"):
                 expect(page.locator(".plot canvas")).to_be_visible()
             violations = Axe().run(page).response["violations"]
             assert violations == [], (view, [(found["id"], found["nodes"][0]["html"]) for found in violations])
             overflow = page.evaluate("document.documentElement.scrollWidth - innerWidth")
             assert overflow <= 0, view
+            if view == "actions":
+                run.cancel()
+                action.close()
     context.close()

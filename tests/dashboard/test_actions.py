@@ -75,7 +75,7 @@ def test_a_goal_is_started_followed_and_cancelled(page: Page, fleet: Fleet, dash
         expect(running(page).get_by_role("progressbar")).to_have_js_property("value", 0.25)
         expect(idle).to_be_hidden()
         page.get_by_role("button", name="Cancel wombat-2/dig").click()
-        expect(ends(page).first).to_contain_text("cancelled: by wombat-1")
+        expect(ends(page).first).to_contain_text("cancelled by wombat-1")
         expect(running(page)).to_have_count(0)
 
 
@@ -88,7 +88,8 @@ def test_a_goal_of_another_program_is_shown_and_a_newer_one_preempts_it(
         expect(running(page)).to_contain_text("started by wombat-3/scout")
         expect(running(page)).to_contain_text("Value: -7")
         start(page, "2")
-        expect(ends(page).filter(has_text="preempted")).to_contain_text("started by wombat-3/scout")
+        preempted = ends(page).filter(has_text="preempted by a newer goal of wombat-1")
+        expect(preempted.first).to_contain_text("started by wombat-3/scout")
         with pytest.raises(rect.ActionError, match="preempted"):
             run.result(timeout=TIMEOUT_S)
 

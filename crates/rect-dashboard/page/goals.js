@@ -13,7 +13,7 @@ const PHASES = {
   refused: "refused",
   failed: "failed",
   cancelled: "cancelled",
-  preempted: "preempted: a newer goal has taken its place",
+  preempted: "preempted",
   lost: "lost: its program has ended",
 };
 const CONDITIONS = { done: "good", failed: "bad", lost: "bad" };
@@ -31,9 +31,12 @@ export function isOpen({ phase }) {
 /** Returns how far a goal has come, with the reason. */
 export function phaseText({ phase, reason }) {
   const text = PHASES[phase] ?? phase;
-  // These texts are the reason already.
-  const isClear = reason === "" || phase === "preempted" || phase === "lost";
-  return isClear ? text : `${text}: ${visible(reason, 400)}`;
+  // The text of a goal that is lost is the reason already.
+  if (reason === "" || phase === "lost") {
+    return text;
+  }
+  // Such as: cancelled by wombat-1.
+  return `${text}${reason.startsWith("by ") ? "" : ":"} ${visible(reason, 400)}`;
 }
 
 /** Returns whether that is good or bad; empty for the rest. */
