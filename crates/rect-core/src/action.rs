@@ -100,11 +100,19 @@ pub fn to_value(payload: &Payload) -> Result<ciborium::Value, String> {
             payload.bytes.len()
         ));
     }
-    if payload.bytes.is_empty() {
-        return Ok(ciborium::Value::Null);
-    }
     let value = payload.value::<ciborium::Value>();
     Ok(value.unwrap_or_else(|_| ciborium::Value::Bytes(payload.bytes.to_vec())))
+}
+
+/// Does the same as [`to_value`] for a value that a program need not give: an empty payload is null.
+///
+/// # Errors
+/// Returns why it cannot be.
+pub fn to_optional_value(payload: &Payload) -> Result<ciborium::Value, String> {
+    match payload.bytes.is_empty() {
+        true => Ok(ciborium::Value::Null),
+        false => to_value(payload),
+    }
 }
 
 /// Returns the payload of a value that is part of a message.

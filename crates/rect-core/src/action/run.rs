@@ -63,7 +63,8 @@ impl ActionRun {
 
     /// Handles a message with the state. Returns whether something has changed.
     pub fn on_message(&mut self, message: &Message, now: Instant) -> bool {
-        if self.has_ended() {
+        // One of a recording says nothing about this goal.
+        if self.has_ended() || message.replayed {
             return false;
         }
         let retained = message.retained.unwrap_or_default();

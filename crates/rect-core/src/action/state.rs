@@ -197,12 +197,13 @@ impl GoalState {
 }
 
 impl KnownGoal {
-    /// Returns the goal that a retained message is about. `None` if it is about something else, or the goal is forgotten.
+    /// Returns the goal that a retained message is about. `None` if it is about something else, the goal is forgotten, or the message is one
+    /// of a recording.
     pub fn of(message: &Message) -> Option<Self> {
         let (action, id) = of_topic(message.topic.as_str())?;
         let mut state = GoalState::read(&message.payload).ok()?;
         let retained = message.retained.unwrap_or_default();
-        if retained.is_forgotten {
+        if retained.is_forgotten || message.replayed {
             return None;
         }
         state.age = retained.age;

@@ -48,6 +48,8 @@ pub struct LogKeeper {
     is_followed: [bool; PUBLISHERS],
     /// Whether there are lines that those who follow were not sent.
     has_news: bool,
+    /// Whether everything was sent at the last poll.
+    is_idle: bool,
     budget: Budget,
     actions: VecDeque<Action>,
     is_closed: bool,
@@ -126,6 +128,7 @@ impl LogKeeper {
             newest: 0,
             is_followed: [false; PUBLISHERS],
             has_news: false,
+            is_idle: true,
             budget: Budget {
                 bytes: PUBLISHED_AT_ONCE,
                 at: None,
@@ -134,6 +137,12 @@ impl LogKeeper {
             is_closed: false,
             place,
         }
+    }
+
+    /// Sends those who follow what is new without regard to the rate, because the session ends. Returns whether that is done.
+    pub fn flush(&mut self) -> bool {
+        self.budget.bytes = self.budget.bytes.max(1.0);
+        self.is_idle
     }
 
     /// Returns all lines, in any order.
@@ -166,7 +175,7 @@ impl LogKeeper {
             self.keep(program, line, batch.private);
         }
         self.shrink();
-        self.has_news = true;
+        (self.has_news, self.is_idle) = (true, false);
     }
 
     /// Keeps a line of a program that has a ring.
@@ -419,7 +428,10 @@ impl Driver for LogKeeper {
         }
         match self.actions.pop_front() {
             Some(action) => Step::Act(action),
-            None => Step::Wait(None),
+            None => {
+                self.is_idle = true;
+                Step::Wait(None)
+            }
         }
     }
 }

@@ -34,6 +34,8 @@ pub struct Outbox {
     /// The earliest time of the next batch.
     not_before: Option<Instant>,
     is_declared: bool,
+    /// Whether the router receives lines. Until then they wait.
+    is_received: bool,
     is_closed: bool,
 }
 
@@ -51,6 +53,7 @@ impl Outbox {
             send_at: None,
             not_before: None,
             is_declared: false,
+            is_received: false,
             is_closed: false,
         }
     }
@@ -129,12 +132,11 @@ impl Driver for Outbox {
 
     fn on_event(&mut self, _now: Instant, event: Event) -> Reaction<Self::Item> {
         match event {
-            Event::Closed => {
-                self.is_closed = true;
-                Reaction::POLL
-            }
-            _ => Reaction::NONE,
+            Event::Closed => self.is_closed = true,
+            Event::Matching { matching, .. } => self.is_received = matching,
+            _ => return Reaction::NONE,
         }
+        Reaction::POLL
     }
 
     fn poll(&mut self, now: Instant) -> Step<Self::Item, ()> {
@@ -145,12 +147,13 @@ impl Driver for Outbox {
             let declaration = Declaration::Publisher {
                 key: self.key.clone(),
                 qos: QOS,
-                observes_matching: false,
+                observes_matching: true,
             };
             let id = PUBLISHER;
             return Step::Act(Action::Declare { id, declaration });
         }
         match self.send_at {
+            Some(_) if !self.is_received => Step::Wait(None),
             Some(at) if at <= now => match self.take() {
                 Some(batch) => Step::Act(Action::Put {
                     publisher: PUBLISHER,

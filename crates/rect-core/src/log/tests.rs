@@ -188,7 +188,14 @@ impl World {
 }
 
 fn outbox() -> Outbox {
-    Outbox::new(&place("wombat-1"), Some(&name("arm")), 3)
+    let mut outbox = Outbox::new(&place("wombat-1"), Some(&name("arm")), 3);
+    set_received(&mut outbox, true);
+    outbox
+}
+
+fn set_received(outbox: &mut Outbox, matching: bool) {
+    let id = Id(0);
+    let _ = outbox.on_event(Instant::now(), Event::Matching { id, matching });
 }
 
 fn log(outbox: &mut Outbox, world: &World, text: &str) {
@@ -297,6 +304,19 @@ fn lost_lines_are_counted_by_the_router() {
     let texts = world.texts();
     assert_eq!(texts.len(), 3, "{texts:?}");
     assert!(texts[1].starts_with("3 lines were lost"), "{texts:?}");
+}
+
+#[test]
+fn lines_wait_for_a_router_that_has_just_started() {
+    let mut world = World::new(Reading::default());
+    let mut outbox = outbox();
+    set_received(&mut outbox, false);
+    log(&mut outbox, &world, "early");
+    world.send(&mut outbox, false);
+    assert!(!outbox.is_empty() && world.keeper.everything().is_empty());
+    set_received(&mut outbox, true);
+    world.send(&mut outbox, false);
+    assert_eq!(world.keeper.everything().len(), 1);
 }
 
 #[test]

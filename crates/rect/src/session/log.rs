@@ -73,5 +73,8 @@ impl Robot {
         if let Some(Some(log)) = self.inner.log.get() {
             log.flush().await;
         }
+        if let Some((_, kept)) = &self.inner.kept {
+            kept.flush().await;
+        }
     }
 }

@@ -88,6 +88,15 @@ impl KeptLog {
         let executor = Executor::new(session, keeper, NoItems);
         Ok(Self(executor.start_thread("log")?))
     }
+
+    /// Waits until those who follow were sent the last lines, for 0.2 s at most.
+    pub(super) async fn flush(&self) {
+        let until = Instant::now() + LAST_LINES;
+        while !self.0.driver().flush() && Instant::now() < until {
+            self.0.signal().set();
+            tokio::time::sleep(CHECK_EVERY).await;
+        }
+    }
 }
 
 impl Drop for KeptLog {

@@ -84,7 +84,7 @@ pub(super) struct Inner {
     /// The retained messages of this program.
     pub(super) state: Arc<State>,
     /// The state and the log of the robot; `None` if its router keeps them.
-    _kept: Option<(KeptState, KeptLog)>,
+    pub(super) kept: Option<(KeptState, KeptLog)>,
     /// The part of this program in the stop of the fleet, which is above this module.
     pub(super) stop: tokio::sync::Mutex<Weak<dyn Any + Send + Sync>>,
     /// The presence of this program.
@@ -147,7 +147,7 @@ impl Robot {
             recipients: OnceCell::new(),
             log: OnceLock::new(),
             state,
-            _kept: kept,
+            kept,
             stop: tokio::sync::Mutex::new(Weak::<()>::new()),
             direct,
             program,

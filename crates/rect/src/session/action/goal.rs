@@ -9,18 +9,17 @@ use std::{
 };
 
 use rect_core::{
-    action::{state::Feedback, to_value},
+    action::{state::Feedback, to_optional_value},
     message::payload::{Payload, ToPayload},
 };
 use tokio::sync::watch;
 
-use super::serve::Shared;
 use crate::error::Error;
 
 /// A goal that a handler carries out; see [`Robot::action`](crate::Robot::action). Clones are the same one.
 #[derive(Clone)]
 pub struct Goal {
-    pub(super) shared: Arc<Shared>,
+    pub(super) on_feedback: Arc<dyn Fn(Feedback) + Send + Sync>,
     /// The id, which its client has chosen.
     pub id: String,
     /// The client, which has started it: `<robot>/<program>`. Zenoh does not verify the name.
@@ -50,16 +49,15 @@ impl ToPayload for Cancelled {
 }
 
 impl Goal {
-    /// Reports news to those who follow the goal: a value, and how much is done, from 0 to 1. The newest counts, and it is sent 10 times a
+    /// Reports news to those who follow the goal: a value, which may be empty, and how much is done, from 0 to 1. The newest counts, and it is sent 10 times a
     /// second at most, without delaying anything else. Does not wait.
     ///
     /// # Errors
     /// [`Error::Payload`] if the value cannot be serialized, and [`Error::Action`] if it has more than 48 kB.
     pub fn feedback(&self, value: impl ToPayload, progress: Option<f64>) -> Result<(), Error> {
         let payload = value.into_payload()?.sendable()?;
-        let value = to_value(&payload).map_err(|reason| Error::Action { reason })?;
-        self.shared
-            .on_feedback(&self.id, Feedback::new(value, progress));
+        let value = to_optional_value(&payload).map_err(|reason| Error::Action { reason })?;
+        (self.on_feedback)(Feedback::new(value, progress));
         Ok(())
     }
 

@@ -11,7 +11,7 @@ use rect_core::{
         order::{self, Order},
         run,
         state::{Feedback, KnownGoal, Phase},
-        to_payload, to_value,
+        to_optional_value, to_payload,
     },
     message::{
         encoding::Encoding,
@@ -110,7 +110,7 @@ impl Robot {
         if !is_name(action) {
             return Err(wrong(action::wrong_action(action)));
         }
-        let goal = to_value(&goal.into_payload()?.sendable()?).map_err(wrong)?;
+        let goal = to_optional_value(&goal.into_payload()?.sendable()?).map_err(wrong)?;
         let order = Order::Start(order::Start {
             id: id.to_owned(),
             goal,
@@ -140,7 +140,8 @@ impl Robot {
     /// Returns a goal that this program or another one has started.
     ///
     /// # Errors
-    /// [`Error::NoGoal`] if the robot does not know it. The other errors are those of [`latest`](Self::latest).
+    /// [`Error::NoGoal`] if the robot does not know it, [`Error::NotReachable`] if it does not answer, and [`Error::Closed`] if the
+    /// session is closed.
     ///
     /// # Cancel safety
     /// Dropping the future has no effect.
@@ -151,15 +152,19 @@ impl Robot {
         id: &str,
     ) -> Result<ActionRun, Error> {
         let target: Name = valid(robot)?;
-        let topic = action::topic(action, id);
-        let known = self
-            .latest::<Payload>(target.clone(), topic.as_str())
-            .await?;
-        if known.is_none_or(|message| message.is_forgotten()) {
-            return Err(Error::NoGoal {
-                robot: target,
-                action: action.to_owned(),
-                goal: id.to_owned(),
+        let asked = self.ask_for_goals(target.as_str(), action, id, self.timeout);
+        let answers = asked.await?;
+        if answers.goals.is_empty() {
+            return Err(match answers.robots.contains(&target) {
+                true => Error::NoGoal {
+                    robot: target,
+                    action: action.to_owned(),
+                    goal: id.to_owned(),
+                },
+                false => Error::NotReachable {
+                    available: self.peers().await.unwrap_or_default(),
+                    robot: target,
+                },
             });
         }
         let received = self.receive(&target, action, id).await?;
@@ -175,9 +180,9 @@ impl Robot {
     /// # Cancel safety
     /// Dropping the future has no effect.
     pub async fn goals(&self, robot: Option<&Name>) -> Result<Vec<KnownGoal>, Error> {
-        let pattern = Pattern::of(robot.cloned(), &action::topic("*", "*"))?;
-        let messages = self.list(&pattern, self.timeout).await?;
-        let mut goals: Vec<_> = messages.iter().filter_map(KnownGoal::of).collect();
+        let robot = robot.map_or("*", Name::as_str);
+        let answers = self.ask_for_goals(robot, "*", "*", self.timeout).await?;
+        let mut goals: Vec<_> = answers.goals.iter().filter_map(KnownGoal::of).collect();
         goals.sort_by_key(|goal| std::cmp::Reverse(goal.state.began_ms));
         Ok(goals)
     }
@@ -301,15 +306,15 @@ impl Followed {
 
     /// Asks the robot for the state.
     async fn ask(&self) -> bool {
-        let topic = action::topic(&self.action, &self.id);
-        let answer = self
-            .robot
-            .latest::<Payload>(self.target.clone(), topic.as_str())
-            .await;
+        let Self { robot, target, .. } = self;
+        let asked = robot.ask_for_goals(target.as_str(), &self.action, &self.id, robot.timeout);
+        let answer = asked.await;
         let mut run = lock(&self.run);
         match answer {
-            Ok(answer) => run.on_answer(answer.as_ref(), Instant::now()),
-            Err(_) => {
+            Ok(answers) if answers.robots.contains(target) => {
+                run.on_answer(answers.goals.first(), Instant::now())
+            }
+            _ => {
                 run.on_no_answer(Instant::now());
                 false
             }

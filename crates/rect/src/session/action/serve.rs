@@ -1,6 +1,6 @@
 //! Carries out the goals of an action of this program.
 use std::{
-    collections::HashMap,
+    collections::{BTreeMap, HashMap},
     fmt,
     future::Future,
     pin::Pin,
@@ -14,15 +14,17 @@ use std::{
 use rect_core::{
     action::{
         self,
+        query::{Answers, GoalsQuery},
         server::{ActionServer, Outcome, Publication, Work},
         state::{Feedback, KnownGoal},
         to_payload, to_value,
     },
     catalogue::ServiceEntry,
     clock::unix::ms_since_1970,
-    message::payload::{Payload, ToPayload},
-    name::topic::Pattern,
-    state::list::List,
+    message::{
+        encoding::Encoding,
+        payload::{Payload, ToPayload},
+    },
 };
 use tokio::{
     sync::{watch, Notify},
@@ -55,7 +57,7 @@ pub struct Action(Arc<Shared>);
 
 type Handler = dyn Fn(Goal) -> Pin<Box<dyn Future<Output = Outcome> + Send>> + Send + Sync;
 
-pub(super) struct Shared {
+struct Shared {
     robot: Robot,
     action: String,
     server: Mutex<ActionServer>,
@@ -64,9 +66,12 @@ pub(super) struct Shared {
     orders: Mutex<HashMap<u64, Request>>,
     /// The goals whose handlers run.
     running: Mutex<HashMap<String, watch::Sender<Option<String>>>>,
-    /// Wakes the task that works, and the one that publishes.
+    /// The newest feedback that was not published yet.
+    news: Mutex<BTreeMap<String, Payload>>,
+    /// Wakes the task that works, the one that publishes, and its part for feedback.
     work: Notify,
     publications: Notify,
+    has_news: Notify,
     is_closing: AtomicBool,
 }
 
@@ -128,9 +133,9 @@ impl Robot {
         let stop = self.fleet_stop().await?;
         server.on_stop(stop.reason(), now_ms());
         let (stops, events) = (stop.changes(), self.events().await?);
-        let topic = action::topic(&options.action, "*");
-        let pattern = Pattern::of(Some(self.name().clone()), &topic)?;
-        for earlier in self.list(&pattern, EARLIER_WITHIN).await? {
+        let own = self.name().as_str();
+        let earlier = self.ask_for_goals(own, &options.action, "*", EARLIER_WITHIN);
+        for earlier in earlier.await?.goals {
             if let Some(KnownGoal { id, .. }) = KnownGoal::of(&earlier) {
                 server.on_earlier(&id, &earlier.payload, Instant::now(), now_ms());
             }
@@ -148,6 +153,8 @@ impl Robot {
             handler: Box::new(handler),
             orders: Mutex::default(),
             running: Mutex::default(),
+            news: Mutex::default(),
+            has_news: Notify::new(),
             work: Notify::new(),
             publications: Notify::new(),
             is_closing: AtomicBool::new(false),
@@ -164,15 +171,17 @@ impl Robot {
         Ok(Action(shared))
     }
 
-    /// Returns the last values of the topics that match a pattern, as retained messages.
-    pub(super) async fn list(
+    /// Asks robots for goals; `*` stands for all robots, actions and goals.
+    pub(super) async fn ask_for_goals(
         &self,
-        pattern: &Pattern,
+        robot: &str,
+        action: &str,
+        goal: &str,
         timeout: Duration,
-    ) -> Result<Vec<rect_core::message::Message>, Error> {
+    ) -> Result<Answers, Error> {
         let inner = &self.inner;
-        let list = List::new(inner.place.clone(), pattern, timeout);
-        Executor::new(&inner.session, list, NoItems).run().await
+        let query = GoalsQuery::new(inner.place.clone(), robot, action, goal, timeout)?;
+        Executor::new(&inner.session, query, NoItems).run().await
     }
 }
 
@@ -199,7 +208,7 @@ fn outcome<V: ToPayload, E: ToPayload>(result: Result<V, E>, noticed: bool) -> O
 }
 
 impl Shared {
-    pub(super) fn on_feedback(&self, id: &str, feedback: Feedback) {
+    fn on_feedback(&self, id: &str, feedback: Feedback) {
         lock(&self.server).on_feedback(id, feedback);
         self.publications.notify_one();
     }
@@ -285,11 +294,15 @@ impl Shared {
                 Work::Run { id, goal, by } => {
                     let (sender, cancel) = Cancel::new();
                     lock(&self.running).insert(id.clone(), sender);
+                    let (shared, of) = (self.clone(), id.clone());
                     let goal = Goal {
-                        shared: self.clone(),
+                        on_feedback: Arc::new(move |feedback| shared.on_feedback(&of, feedback)),
                         id: id.clone(),
                         by,
-                        payload: to_payload(&goal),
+                        payload: match goal.is_null() {
+                            true => Payload::new("", Encoding::TEXT),
+                            false => to_payload(&goal),
+                        },
                         cancel,
                     };
                     let handled = self.robot.inner.runtime.spawn((self.handler)(goal));
@@ -319,7 +332,28 @@ impl Shared {
         lock(&self.server).open().is_empty()
     }
 
+    /// Publishes states, and feedback beside them: a link that is busy with feedback does not delay an end.
     async fn publish(self: Arc<Self>) {
+        tokio::select! {
+            () = self.publish_states() => {}
+            () = self.publish_feedback() => {}
+        }
+    }
+
+    async fn publish_feedback(&self) {
+        loop {
+            let newest = lock(&self.news).pop_first();
+            let Some((id, payload)) = newest else {
+                self.has_news.notified().await;
+                continue;
+            };
+            let topic = action::feedback_topic(&self.action, &id);
+            // An error means that the session is closed, or that nobody gets the feedback.
+            let _ = self.robot.bulk().publish(topic.as_str(), payload).await;
+        }
+    }
+
+    async fn publish_states(&self) {
         loop {
             let publication = lock(&self.server).publication(Instant::now());
             match publication {
@@ -344,11 +378,8 @@ impl Shared {
                     self.work.notify_one();
                 }
                 Publication::Feedback { id, payload } => {
-                    let topic = action::feedback_topic(&self.action, &id);
-                    let published = self.robot.bulk().publish(topic.as_str(), payload).await;
-                    if let Err(Error::Closed) = published {
-                        return;
-                    }
+                    lock(&self.news).insert(id, payload);
+                    self.has_news.notify_one();
                 }
                 Publication::Forget { id } => {
                     let topic = action::topic(&self.action, &id);
@@ -359,7 +390,7 @@ impl Shared {
                     }
                 }
                 Publication::Wait(until) => {
-                    if self.is_closing.load(Ordering::Relaxed) && self.has_ended() {
+                    if self.is_closing.load(Ordering::Relaxed) && lock(&self.server).is_finished() {
                         return;
                     }
                     let woken = self.publications.notified();
