@@ -177,7 +177,7 @@ def feedback_cost(link: Link) -> str:
     """Returns the bytes of a goal with feedback, and of one without."""
     costs = []
     for value in ("", "scoop 17 of 40"):
-        with actions(link) as peer, rect.connect("wombat-2", router=link.far) as laptop:
+        with actions(link), rect.connect("wombat-2", router=link.far) as laptop:
             laptop.wait_for_peer("wombat-1", TIMEOUT_S)
             before = link.carried()
             run = laptop.start("wombat-1", "dig", value)
@@ -200,10 +200,10 @@ def run() -> Table:
                 cost = feedback_cost(link) if peer_of is actions else "-"
                 table.add(f"{name}: {title}", alone, beside, cost)
     table.notes = [
-        f"From the laptop's call until the handler on the robot is called, or knows that it is cancelled: {GOALS} goals, "
-        f"and {BESIDE} beside a transfer of 1 MB from the laptop to the robot. The robot's router keeps a goal before it "
-        f"begins. {FEEDBACK_PER_S} feedbacks a second with a text of 14 characters, bytes both ways with the link's "
-        "keep-alives. Plain Zenoh's query and message keep nothing, and do not survive a cut.",
+        f"From the laptop's call until the handler on the robot is called, or knows that it is cancelled: {GOALS} "
+        f"goals, and {BESIDE} beside a transfer of 1 MB from the laptop to the robot. The robot's router keeps a goal "
+        f"before it begins. {FEEDBACK_PER_S} feedbacks a second with a text of 14 characters, bytes both ways with the "
+        "link's keep-alives. Plain Zenoh's query and message keep nothing, and do not survive a cut.",
         "Bluetooth is the simulated air, with packets of 27 bytes and a connection interval of 30 ms.",
     ]
     return table

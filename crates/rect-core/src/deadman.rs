@@ -25,7 +25,7 @@ pub const MAX_WITHIN: Duration = Duration::from_secs(60);
 pub const ENDED: &str = "the dead man's switch has ended";
 /// How long a robot follows after a program of its commander has ended.
 const PROGRAM_GONE: Duration = Duration::from_millis(100);
-/// How long the commands of a robot that has returned do not count: meanwhile its router tells of the stops that were pressed since.
+/// How long the commands of a robot that has returned do not count: meanwhile its router sends the stops that were pressed since.
 const RETURNING: Duration = Duration::from_millis(500);
 /// The maximum number of robots that are remembered as unreachable.
 const MAX_ROBOTS: usize = 256;

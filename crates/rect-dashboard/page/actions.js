@@ -84,7 +84,7 @@ function found(robots, goals) {
     add(goal.robot, goal.action, {}).goals.push(goal);
   }
   const reachable = new Set(robots.filter((robot) => robot.reachable).map(({ name }) => name));
-  const sorted = [...all].sort(([one], [other]) => (one < other ? -1 : 1));
+  const sorted = [...all].toSorted(([one], [other]) => (one < other ? -1 : 1));
   return sorted.map(([, action]) => ({ ...action, isReachable: reachable.has(action.robot) }));
 }
 
@@ -250,7 +250,10 @@ function endedGoal() {
     setText(phase, phaseText(goal));
     phase.dataset.state = condition(goal);
     setText(since, sinceText(goal, now));
-    const parts = [goal.goal && `Value: ${visible(goal.goal, 300)}`, goal.result && `Result: ${visible(goal.result, 500)}`];
+    const parts = [
+      goal.goal && `Value: ${visible(goal.goal, 300)}`,
+      goal.result && `Result: ${visible(goal.result, 500)}`,
+    ];
     setText(result, parts.filter(Boolean).join(" · "));
     result.hidden = result.textContent === "";
   };
