@@ -101,7 +101,11 @@ pub fn to_value(payload: &Payload) -> Result<ciborium::Value, String> {
         ));
     }
     let value = payload.value::<ciborium::Value>();
-    Ok(value.unwrap_or_else(|_| ciborium::Value::Bytes(payload.bytes.to_vec())))
+    // An empty text is one, and nothing else is nothing.
+    Ok(value.unwrap_or_else(|_| match payload.bytes.is_empty() {
+        true => ciborium::Value::Null,
+        false => ciborium::Value::Bytes(payload.bytes.to_vec()),
+    }))
 }
 
 /// Does the same as [`to_value`] for a value that a program need not give: an empty payload is null.

@@ -11,7 +11,6 @@ mod copies;
 mod followers;
 pub mod keeper;
 pub mod latest;
-pub mod list;
 pub mod page;
 mod polls;
 pub mod program;

@@ -211,7 +211,7 @@ class ActionExecutor:
 
     def on_feedback(self, id: str, value: Any, progress: float | None) -> None:
         """Handles feedback of a handler. Raises `PayloadError`."""
-        payload = payload_of("" if value is None else value)
+        payload = payload_of(value)
         progress = None if progress is None else float(progress)
         self._core.on_feedback(id, payload.bytes, payload.encoding, progress)
         self._publishes.set()
@@ -219,7 +219,7 @@ class ActionExecutor:
     def on_returned(self, goal: AnyGoal[Any], result: Any) -> None:
         """Handles that a handler has returned."""
         try:
-            payload = payload_of("" if result is None else result)
+            payload = payload_of(result)
             self._core.on_done(goal.id, payload.bytes, payload.encoding, goal.is_noticed)
         except Exception as error:
             self._core.on_failed(goal.id, f"the result cannot be sent: {error_text(error)}")

@@ -406,7 +406,7 @@ def start(
     """Starts a goal. Raises the errors of `Robot.start`."""
     session.check()
     goal_id = _rect.goal_id(random.getrandbits(64)) if id is None else text("id", id)
-    payload = payload_of("" if goal is None else goal)
+    payload = payload_of(goal)
     text("robot", robot)
     program = session.program.name
     _rect.InternalTopic.of_action(text("action", action))
