@@ -136,8 +136,8 @@ public:
 
 /// How a goal is started.
 struct StartOptions {
-    /// The id of the goal: 1 to 40 letters, digits, `_`, `-` and `.`. Empty: RECT chooses it. A goal that is started again with its id runs
-    /// once.
+    /// The id of the goal: 1 to 40 letters, digits, underscores, hyphens and periods. If it is empty, RECT chooses one. A goal that is
+    /// started again with its id runs once.
     std::string id{};
     /// How long to wait until the goal is accepted or refused: at most 10 minutes.
     std::chrono::milliseconds timeout{default_timeout};
