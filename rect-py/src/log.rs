@@ -90,9 +90,10 @@ impl LogOutbox {
         Ok(lock(&self.core).log(line, is_private, self.clock.now()))
     }
 
-    /// Sends the lines that wait at the next poll.
-    fn flush(&self) {
-        lock(&self.core).flush(self.clock.now());
+    /// Sends the lines that wait as soon as the router receives them, and after `within_s` in any case.
+    fn flush(&self, within_s: f64) {
+        let now = self.clock.now();
+        lock(&self.core).flush(now, now + Duration::from_secs_f64(within_s));
     }
 
     /// Whether no line waits.

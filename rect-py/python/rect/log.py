@@ -18,8 +18,10 @@ from rect.options import text
 if TYPE_CHECKING:
     from rect.session import Session
 
-#: How long the end of a session waits for the last lines, in seconds.
-_LAST_LINES_S = 0.2
+#: How long the end of a session waits for the last lines at most, in seconds.
+_LAST_LINES_S = 1.0
+#: How long the last lines wait for a router that has just started, in seconds.
+_FIRST_ANSWER_S = 0.15
 _LOG = logging.getLogger("rect")
 
 
@@ -63,7 +65,7 @@ class ProgramLog:
         if executor is None or self._session.is_closed:
             return
         self._sent.clear()
-        self._core.flush()
+        self._core.flush(_FIRST_ANSWER_S)
         executor.wake()
         self._sent.wait(_LAST_LINES_S)
 

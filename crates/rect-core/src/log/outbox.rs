@@ -36,6 +36,8 @@ pub struct Outbox {
     is_declared: bool,
     /// Whether the router receives lines. Until then they wait.
     is_received: bool,
+    /// When they are sent even if it is not known whether it does, because the program ends.
+    force_at: Option<Instant>,
     is_closed: bool,
 }
 
@@ -54,6 +56,7 @@ impl Outbox {
             not_before: None,
             is_declared: false,
             is_received: false,
+            force_at: None,
             is_closed: false,
         }
     }
@@ -85,8 +88,9 @@ impl Outbox {
         self.lost
     }
 
-    /// Sends the lines that wait at the next poll, because the program ends.
-    pub fn flush(&mut self, now: Instant) {
+    /// Sends the lines that wait, because the program ends: as soon as the router receives them, and at that time in any case.
+    pub fn flush(&mut self, now: Instant, at: Instant) {
+        self.force_at = Some(at);
         if self.send_at.is_some() {
             self.send_at = Some(now);
         }
@@ -153,7 +157,9 @@ impl Driver for Outbox {
             return Step::Act(Action::Declare { id, declaration });
         }
         match self.send_at {
-            Some(_) if !self.is_received => Step::Wait(None),
+            Some(_) if !self.is_received && self.force_at.is_none_or(|at| at > now) => {
+                Step::Wait(self.force_at)
+            }
             Some(at) if at <= now => match self.take() {
                 Some(batch) => Step::Act(Action::Put {
                     publisher: PUBLISHER,

@@ -20,7 +20,9 @@ use super::{
 use crate::error::Error;
 
 /// How long the end of a session waits for the last lines.
-const LAST_LINES: Duration = Duration::from_millis(200);
+const LAST_LINES: Duration = Duration::from_secs(1);
+/// How long the last lines wait for a router that has just started.
+const FIRST_ANSWER: Duration = Duration::from_millis(150);
 /// The interval at which that is checked.
 const CHECK_EVERY: Duration = Duration::from_millis(5);
 
@@ -44,14 +46,15 @@ impl ProgramLog {
         }
     }
 
-    /// Waits until the last lines were sent, for 0.2 s at most.
+    /// Waits until the last lines were sent, for 1 s at most.
     ///
     /// # Cancel safety
     /// Dropping the future has no effect.
     pub async fn flush(&self) {
-        self.0.driver().flush(Instant::now());
+        let now = Instant::now();
+        self.0.driver().flush(now, now + FIRST_ANSWER);
         self.0.wake();
-        let until = Instant::now() + LAST_LINES;
+        let until = now + LAST_LINES;
         while !self.0.driver().is_empty() && Instant::now() < until {
             tokio::time::sleep(CHECK_EVERY).await;
         }
@@ -61,7 +64,8 @@ impl ProgramLog {
 impl Drop for ProgramLog {
     /// Sends the last lines, of a program that does not close its session.
     fn drop(&mut self) {
-        self.0.driver().flush(Instant::now());
+        let now = Instant::now();
+        self.0.driver().flush(now, now);
         if let Err(error) = self.0.poll_now() {
             tracing::debug!("the last lines of the log were not sent: {error}");
         }
@@ -89,7 +93,7 @@ impl KeptLog {
         Ok(Self(executor.start_thread("log")?))
     }
 
-    /// Waits until those who follow were sent the last lines, for 0.2 s at most.
+    /// Waits until those who follow were sent the last lines, for 1 s at most.
     pub(super) async fn flush(&self) {
         let until = Instant::now() + LAST_LINES;
         while !self.0.driver().flush() && Instant::now() < until {
