@@ -38,7 +38,7 @@ function emptyText(state) {
 
 function card(form) {
   const name = h("h2");
-  const list = table("Services", ["Program", "Service", "Description", ...(form ? [""] : [])]);
+  const list = table("Services", ["Program", "Service", "Description", ...(form ? ["Request"] : [])]);
   const element = h("section", { class: "card" }, h("header", {}, name), list.element);
   element.show = (robot) => {
     setText(name, robot.name);
