@@ -230,8 +230,10 @@ TEST_CASE("invalid actions and goals are errors, and functions are released") {
 TEST_CASE("the end of an action cancels its goal, and waits for the function") {
     Pair pair;
     std::atomic<bool> has_ended{false};
+    Flag began;
     rect::Action action;
     action = must(pair.two.action("dig", [&](rect::Goal& goal) {
+        began.set();
         try {
             goal.sleep(rect::forever);
         } catch (const rect::Cancelled& cancelled) {
@@ -241,7 +243,7 @@ TEST_CASE("the end of an action cancels its goal, and waits for the function") {
         }
     }));
     const auto run = start(pair.one, "dig", "");
-    wait_for(run, rect::Phase::running);
+    began.wait();
     action.drop();
     CHECK(has_ended);
     (void)reason_of(run, rect::Phase::cancelled);
