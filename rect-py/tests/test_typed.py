@@ -341,6 +341,13 @@ def test_handler_with_a_type_that_cannot_be_converted_is_an_error(pair: Pair) ->
         pair[0].serve("x", handler)
 
 
+def test_other_annotations_of_a_handler_are_not_resolved(pair: Pair) -> None:
+    def handler(request: list[Unknown]) -> int:  # type: ignore[name-defined]  # noqa: F821
+        return len(request)
+
+    pair[0].serve("other", handler).close()  # type: ignore[arg-type]
+
+
 def test_asyncio_has_the_same_types() -> None:
     async def run() -> None:
         with connected_pair() as (one, two):

@@ -162,7 +162,7 @@ class ActionExecutor:
             raise OptionError("when_busy", when_busy, 'it must be "preempt" or "refuse"')
         lost_after = None if lost_after is None else seconds("lost_after", lost_after)
         self._session = session
-        self._converter = request_converter(handler, AnyGoal)
+        self._converter = request_converter(handler, AnyGoal, "Goal")
         if about is None:
             about = (inspect.getdoc(handler) or "").partition("\n")[0]
         self._core = _rect.ActionServer(session.program.name, when_busy == "refuse", lost_after)

@@ -399,10 +399,12 @@ class Service:
                 self._idle += 1
 
 
-def request_converter(handler: Callable[..., Any], generic: type = Request) -> Converter[Any] | None:
+def request_converter(
+    handler: Callable[..., Any], generic: type = Request, name: str = "Request"
+) -> Converter[Any] | None:
     """Returns the converter to the type that a handler states: `Grab` for the parameter `request: rect.Request[Grab]`.
 
-    `generic`: the class of the parameter, or a base of it.
+    `generic`: the class of the parameter, or a base of it. `name`: its name in annotations.
 
     Raises `TypeError` if there is no such type, or values cannot be converted to it.
     """
@@ -413,7 +415,7 @@ def request_converter(handler: Callable[..., Any], generic: type = Request) -> C
         return None
     stated: Any = None if first is None or first.annotation is first.empty else first.annotation
     if isinstance(stated, str):
-        if "[" not in stated:
+        if f"{name}[" not in stated:
             return None
         function = inspect.unwrap(handler)
         names = getattr(function, "__globals__", None) or getattr(type(handler).__call__, "__globals__", {})
