@@ -12,10 +12,9 @@ import rect
 import zenoh
 from comparison import rounds
 from logs import PDU
-from pairs import carried, room
+from pairs import carried, linked_robots, room
 from parameters import LARGE
-from robots import open_client, rect_settings, wait_until
-from room import wait_for_link
+from robots import open_client, wait_until
 from state import RATE_BYTES_PER_S, routers
 from table import Table
 from traffic import percentile
@@ -64,11 +63,8 @@ class Arrivals:
 @contextmanager
 def over_bluetooth() -> Iterator[Link]:
     with room(PDU) as air:
-        near, far = (
-            air.add_robot(name, arguments=tuple(rect_settings({"robot": name}))) for name in ("wombat-1", "wombat-2")
-        )
-        wait_for_link(near, far)
-        yield Link(near.endpoint(), far.endpoint(), lambda: carried(air))
+        near, far = linked_robots(air)
+        yield Link(near, far, lambda: carried(air))
 
 
 @contextmanager

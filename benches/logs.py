@@ -14,9 +14,7 @@ from pathlib import Path
 
 import rect
 from comparison import rounds
-from pairs import room
-from robots import rect_settings
-from room import wait_for_link
+from pairs import linked_robots, room
 from state import RATE_BYTES_PER_S, routers
 from table import Table
 from traffic import percentile
@@ -148,11 +146,7 @@ def crash(near: str, far: str) -> float:
 @contextmanager
 def over_bluetooth() -> Iterator[tuple[str, str]]:
     with room(PDU) as air:
-        near, far = (
-            air.add_robot(name, arguments=tuple(rect_settings({"robot": name}))) for name in ("wombat-1", "wombat-2")
-        )
-        wait_for_link(near, far)
-        yield near.endpoint(), far.endpoint()
+        yield linked_robots(air)
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import zenoh
-from robots import PluginRobot, Robot, open_client, wait_until
+from robots import PluginRobot, Robot, open_client, rect_settings, wait_until
 from room import Room, wait_for_link
 from routers import Router, status
 from shaper import Shaper
@@ -89,6 +89,15 @@ def declare_reached(session: zenoh.Session, key: str, congestion: CongestionCont
 def carried(air: Room) -> int:
     """Returns the bytes that all links in a room carried so far."""
     return sum(adapter["stats"]["sdu_bytes"] for adapter in air.status()["adapters"])
+
+
+def linked_robots(air: Room) -> tuple[str, str]:
+    """Starts the routers of wombat-1 and wombat-2 in a room, which are linked, and returns their endpoints."""
+    one, two = (
+        air.add_robot(name, arguments=tuple(rect_settings({"robot": name}))) for name in ("wombat-1", "wombat-2")
+    )
+    wait_for_link(one, two)
+    return one.endpoint(), two.endpoint()
 
 
 def ble_pair_endpoints(air: Room) -> tuple[str, str]:
