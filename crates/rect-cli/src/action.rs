@@ -7,7 +7,6 @@ mod start;
 mod watch;
 
 use clap::{Args, Subcommand};
-use rect::{Error, Name, Robot};
 use rect_core::name::parameter::is_name;
 
 use crate::{wait_on_one_thread, Done};
@@ -63,16 +62,4 @@ fn goal_id(text: &str) -> Result<String, String> {
                 .to_owned(),
         ),
     }
-}
-
-/// Fails if a robot cannot be reached, so that nothing is known about its goals.
-async fn require_reachable(own: &Robot, robot: &Name) -> Result<(), Error> {
-    let available = own.peers().await?;
-    if robot == own.name() || available.contains(robot) {
-        return Ok(());
-    }
-    Err(Error::NotReachable {
-        robot: robot.clone(),
-        available,
-    })
 }

@@ -2,7 +2,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use rect::{Name, Options, Robot, Urgency};
+use rect::{Error, Name, Options, Robot, Urgency};
 use rect_core::session::login::{default_file, FILE_VARIABLE};
 use serde_json::Value;
 use zenoh::query::ConsolidationMode;
@@ -182,4 +182,16 @@ impl DeliveryArguments {
 /// Parses the name of a robot on the command line.
 pub fn name(text: &str) -> Result<Name, rect_core::name::NameError> {
     Name::new(text)
+}
+
+/// Fails if a robot cannot be reached.
+pub async fn require_reachable(own: &Robot, robot: &Name) -> Result<(), Error> {
+    let available = own.peers().await?;
+    if robot == own.name() || available.contains(robot) {
+        return Ok(());
+    }
+    Err(Error::NotReachable {
+        robot: robot.clone(),
+        available,
+    })
 }

@@ -2,9 +2,9 @@
 use clap::Args;
 use rect::{Name, Robot};
 
-use super::{action_name, follow, goal_id, require_reachable};
+use super::{action_name, follow, goal_id};
 use crate::{
-    session::{name, JoinArguments},
+    session::{name, require_reachable, JoinArguments},
     Done, Failure,
 };
 

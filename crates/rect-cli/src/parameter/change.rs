@@ -6,7 +6,10 @@ use rect::{Error, ParameterOrder, ParameterValue, Robot};
 use rect_terminal::{paint_err, Style};
 
 use super::place::{Assignment, GroupPlace};
-use crate::{session::JoinArguments, Done, Failure};
+use crate::{
+    session::{require_reachable, JoinArguments},
+    Done, Failure,
+};
 
 /// The maximum length of a reason of a program, in characters.
 const MAX_REASON: usize = 500;
@@ -139,23 +142,10 @@ pub async fn reason(own: &Robot, place: &GroupPlace, error: Error) -> String {
             let text: String = text.chars().take(MAX_REASON).collect();
             format!("refused: {text}")
         }
-        Error::NoParameters { .. } => match is_reachable(own, place).await {
+        Error::NoParameters { .. } => match require_reachable(own, &place.robot).await {
             Ok(()) => error.to_string(),
             Err(error) => error.to_string(),
         },
         error => error.to_string(),
     }
-}
-
-/// Fails if the robot of a group is not reachable.
-async fn is_reachable(own: &Robot, place: &GroupPlace) -> Result<(), Error> {
-    let available = own.peers().await?;
-    let robot = &place.robot;
-    if robot == own.name() || available.contains(robot) {
-        return Ok(());
-    }
-    Err(Error::NotReachable {
-        robot: robot.clone(),
-        available,
-    })
 }
