@@ -104,12 +104,11 @@ mod _rect {
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
         use rect_core::{
-            action,
+            action, catalogue,
             message::{
                 queue::DEFAULT_CAPACITY,
                 request::{DEFAULT_TIMEOUT_MS, SHARED_REPLY},
             },
-            parameters::order,
             registry::named_connection,
             session::{
                 declarations, endpoint, inquiry, login, peers, publication, router, service,
@@ -120,6 +119,11 @@ mod _rect {
         use rect_recording::{answer, recorder, report};
         module.add("ACTION_LOST_AFTER_S", action::LOST_AFTER.as_secs_f64())?;
         module.add("ADD", named_connection::ADD)?;
+        module.add(
+            "DECLARED_WITHIN_S",
+            catalogue::DECLARED_WITHIN.as_secs_f64(),
+        )?;
+        module.add("DECLARED_PAUSE_S", catalogue::PAUSE.as_secs_f64())?;
         module.add("DEFAULT_CAPACITY", DEFAULT_CAPACITY)?;
         module.add("DEFAULT_TIMEOUT_S", f64::from(DEFAULT_TIMEOUT_MS) / 1000.0)?;
         module.add("DIAGNOSIS", settings::DIAGNOSIS.to_vec())?;
@@ -129,8 +133,6 @@ mod _rect {
         module.add("MAX_CONCURRENT", service::MAX_CONCURRENT)?;
         module.add("MAX_DECLARATIONS", declarations::MAX)?;
         module.add("MAX_REPLIES", inquiry::MAX_REPLIES)?;
-        module.add("PARAMETERS_PAUSE_S", order::PAUSE.as_secs_f64())?;
-        module.add("PARAMETERS_WITHIN_S", order::DECLARED_WITHIN.as_secs_f64())?;
         module.add("QUERY_TIMEOUT_S", peers::TIMEOUT.as_secs_f64())?;
         module.add("RECORDED_EVENTS", report::EVENTS)?;
         module.add("RECORDED_LINK", report::LINK)?;

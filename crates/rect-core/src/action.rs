@@ -127,6 +127,11 @@ pub fn to_payload(value: &ciborium::Value) -> Payload {
     }
 }
 
+/// Returns the value that a document does not contain.
+fn null() -> ciborium::Value {
+    ciborium::Value::Null
+}
+
 /// Returns something as CBOR that can always be serialized.
 fn cbor(document: &impl Serialize) -> Payload {
     let payload = Cbor(document).to_payload();

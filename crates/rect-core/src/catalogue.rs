@@ -9,6 +9,8 @@ pub mod registration;
 pub mod requester_wait;
 pub mod token;
 
+use std::time::Duration;
+
 use serde::{Deserialize, Serialize};
 
 pub use crate::{
@@ -22,6 +24,10 @@ use crate::{
 
 /// The part after `@rect/` of the key at which a program registers. Access control grants it separately (`@set`).
 pub const REGISTER: &str = "@set/program";
+/// The time within which something that the catalogue lists can be reached, since it was just declared.
+pub const DECLARED_WITHIN: Duration = Duration::from_secs(1);
+/// The pause between two attempts to reach it.
+pub const PAUSE: Duration = Duration::from_millis(100);
 /// The maximum number of programs of a robot.
 pub const MAX_PROGRAMS: usize = 64;
 /// The maximum number of services of a program.

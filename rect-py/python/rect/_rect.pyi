@@ -9,6 +9,8 @@ from rect.choices import Confirmation, Level, Phase, PixelFormat, Urgency
 
 ACTION_LOST_AFTER_S: float
 ADD: str
+DECLARED_PAUSE_S: float
+DECLARED_WITHIN_S: float
 DEFAULT_CAPACITY: int
 DEFAULT_TIMEOUT_S: float
 DIAGNOSIS: list[tuple[str, str]]
@@ -18,8 +20,6 @@ LOGIN_VARIABLE: str
 MAX_CONCURRENT: int
 MAX_DECLARATIONS: int
 MAX_REPLIES: int
-PARAMETERS_PAUSE_S: float
-PARAMETERS_WITHIN_S: float
 QUERY_TIMEOUT_S: float
 RECORDED_EVENTS: str
 RECORDED_LINK: str

@@ -20,7 +20,7 @@ from rect.errors import ActionError, NoAction, NoGoal, NotReachable, PayloadErro
 from rect.executor import Executor
 from rect.message import Message, utc
 from rect.options import seconds, text
-from rect.program import programs_of
+from rect.program import names_of
 from rect.receive_queue import DEFAULT_CAPACITY, Ended, ReceiveQueue
 from rect.request import RetriedRequest
 from rect.subscriber import Subscriber, Subscription, decoded
@@ -487,20 +487,13 @@ def give_order(
     """
     topic = _rect.InternalTopic.of_action(action)
     payload = Payload(*order.payload())
-    until = time.monotonic() + _rect.PARAMETERS_WITHIN_S
+    until = time.monotonic() + _rect.DECLARED_WITHIN_S
     while True:
         request: RetriedRequest[Any] = RetriedRequest(session, robot, topic, payload, urgency, timeout, None)
         if request.run() is not None:
             return
         # An action that was just declared may be in the catalogue before it can be reached.
-        actions = _actions_of(session, robot)
+        actions = names_of(session, robot, lambda program: program.actions)
         if action not in actions or time.monotonic() >= until:
             raise NoAction(robot, action, actions)
-        time.sleep(_rect.PARAMETERS_PAUSE_S)
-
-
-def _actions_of(session: Session, robot: str) -> list[str]:
-    try:
-        return [action for program in programs_of(session, robot) for action in program.actions]
-    except RectError:
-        return []
+        time.sleep(_rect.DECLARED_PAUSE_S)

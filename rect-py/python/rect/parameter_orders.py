@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from rect import _rect
-from rect.errors import Interrupted, NoParameters, NoService, NotStored, RectError
-from rect.program import programs_of
+from rect.errors import Interrupted, NoParameters, NoService, NotStored
+from rect.program import names_of
 from rect.request import Replies
 from rect.values import Payload
 
@@ -30,7 +30,7 @@ def set_parameters(
     order = _rect.ParameterOrder(dict(values), reset, stored, session.program.name)
     timeout = _rect.DEFAULT_TIMEOUT_S
     payload = Payload(*order.payload())
-    until = time.monotonic() + _rect.PARAMETERS_WITHIN_S
+    until = time.monotonic() + _rect.DECLARED_WITHIN_S
     while True:
         replies: Replies[Any] = Replies(session, robot, topic, payload, "normal", timeout, None, is_stream=stored)
         try:
@@ -42,7 +42,7 @@ def set_parameters(
             return dict(in_force["values"])
         except NoService:
             # A group that was just declared may be in the catalogue before it can be reached.
-            groups = _groups_of(session, robot)
+            groups = names_of(session, robot, lambda program: program.parameters)
             if group not in groups or time.monotonic() >= until:
                 raise NoParameters(robot, group, groups) from None
         except Interrupted:
@@ -52,17 +52,10 @@ def set_parameters(
                 raise
         finally:
             replies.leave()
-        time.sleep(_rect.PARAMETERS_PAUSE_S)
+        time.sleep(_rect.DECLARED_PAUSE_S)
 
 
 def _next(replies: Replies[Any]) -> Any:
     for reply in replies:
         return reply.value
     raise replies.unanswered(list)
-
-
-def _groups_of(session: Session, robot: str) -> list[str]:
-    try:
-        return [group for program in programs_of(session, robot) for group in program.parameters]
-    except RectError:
-        return []

@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import random
 import sys
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from rect import _rect, registry
-from rect.errors import ServiceRefused
+from rect.errors import RectError, ServiceRefused
 from rect.executor import Executor
 from rect.parameter_types import Parameter, parameters_of
 
@@ -69,6 +70,14 @@ def programs_of(session: Session, robot: str) -> list[Program]:
         )
         for name, instance, services, groups, actions in _rect.read_catalogue(catalogue)
     ]
+
+
+def names_of(session: Session, robot: str, names: Callable[[Program], Iterable[str]]) -> list[str]:
+    """Returns what the programs of a robot list under these names; nothing if the robot does not answer."""
+    try:
+        return [name for program in programs_of(session, robot) for name in names(program)]
+    except RectError:
+        return []
 
 
 class Presence:

@@ -2,7 +2,7 @@
 use ciborium::Value;
 use serde::{Deserialize, Serialize};
 
-use super::{cbor, MAX_VALUE};
+use super::{cbor, null, MAX_VALUE};
 use crate::{message::payload::Payload, name::parameter::is_name};
 
 /// The maximum length of the name of a program that starts goals, in characters.
@@ -42,10 +42,6 @@ pub struct Cancel {
     /// The program that cancels it; empty if it has no name.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub by: String,
-}
-
-fn null() -> Value {
-    Value::Null
 }
 
 impl Order {

@@ -418,14 +418,12 @@ impl ActionServer {
 
     /// Returns what to do next. Call it again after everything that has happened.
     pub fn work(&mut self, now: Instant, now_ms: u64) -> Work {
-        let lost = |goal: &Goal| goal.lost_at.is_some_and(|at| at <= now);
-        let gone: Vec<_> = self.goals.iter().filter(|(_, goal)| lost(goal)).collect();
-        let gone: Vec<_> = gone
-            .into_iter()
-            .map(|(id, goal)| (id.clone(), goal.state.by.clone()))
-            .collect();
+        let goals = self.goals.iter();
+        let lost = goals.filter(|(_, goal)| goal.lost_at.is_some_and(|at| at <= now));
+        let lost = lost.map(|(id, goal)| (id.clone(), goal.state.by.clone()));
+        let lost: Vec<_> = lost.collect();
         let after = humanize::duration(self.rules.lost_after.unwrap_or_default());
-        for (id, by) in gone {
+        for (id, by) in lost {
             let reason = format!("{by} has been away for {after}");
             self.cancel(&id, Phase::Cancelled, &reason, now_ms);
         }
@@ -437,9 +435,9 @@ impl ActionServer {
 
     /// Returns what to publish next. The executor publishes one after the other, beside its other work.
     pub fn publication(&mut self, now: Instant) -> Publication {
-        let due = |goal: &Goal| goal.forget_at.is_some_and(|at| at <= now);
-        let old: Vec<_> = self.goals.iter().filter(|(_, goal)| due(goal)).collect();
-        let old: Vec<_> = old.into_iter().map(|(id, _)| id.clone()).collect();
+        let goals = self.goals.iter();
+        let old = goals.filter(|(_, goal)| goal.forget_at.is_some_and(|at| at <= now));
+        let old: Vec<_> = old.map(|(id, _)| id.clone()).collect();
         for id in old {
             self.forget(&id);
         }
@@ -590,15 +588,10 @@ impl ActionServer {
 
     /// Forgets the goals that ended first, if there are too many.
     fn limit(&mut self) {
-        let ended = |goals: &BTreeMap<String, Goal>| {
-            let ended = goals.iter().filter(|(_, goal)| goal.has_ended());
-            let mut ended: Vec<_> = ended
-                .map(|(id, goal)| (goal.state.ended_ms, id.clone()))
-                .collect();
-            ended.sort();
-            ended
-        };
-        let ended = ended(&self.goals);
+        let ended = self.goals.iter().filter(|(_, goal)| goal.has_ended());
+        let ended = ended.map(|(id, goal)| (goal.state.ended_ms, id.clone()));
+        let mut ended: Vec<_> = ended.collect();
+        ended.sort();
         let surplus = ended.len().saturating_sub(MAX_KEPT);
         for (_, id) in ended.into_iter().take(surplus) {
             self.forget(&id);

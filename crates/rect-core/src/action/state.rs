@@ -4,7 +4,7 @@ use std::{fmt, time::Duration};
 use ciborium::Value;
 use serde::{Deserialize, Serialize};
 
-use super::{cbor, of_topic, short, to_payload, MAX_VALUE};
+use super::{cbor, null, of_topic, short, to_payload, MAX_VALUE};
 use crate::{
     message::{payload::Payload, Message},
     name::Name,
@@ -97,10 +97,6 @@ pub struct Feedback {
     /// How much is done, from 0 to 1.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub progress: Option<f64>,
-}
-
-fn null() -> Value {
-    Value::Null
 }
 
 impl Phase {

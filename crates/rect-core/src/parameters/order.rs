@@ -1,5 +1,5 @@
 //! Defines the request that changes parameters, its replies, and the message with the values.
-use std::{collections::BTreeMap, time::Duration};
+use std::collections::BTreeMap;
 
 use serde::{Deserialize, Serialize};
 
@@ -12,11 +12,6 @@ use crate::{
     text::display::is_harmful,
 };
 
-/// The time within which a group that the catalogue lists can be reached, since it was just declared. An order that is interrupted within
-/// it is sent again.
-pub const DECLARED_WITHIN: Duration = Duration::from_secs(1);
-/// The pause between two attempts to reach it.
-pub const PAUSE: Duration = Duration::from_millis(100);
 /// The maximum length of the name of a program that changes parameters, in characters.
 const MAX_BY: usize = 60;
 

@@ -47,12 +47,11 @@ impl Robot {
     /// # Cancel safety
     /// If the future is dropped after it was polled, the alert may be raised or not.
     pub async fn alert_named(&self, name: &str, level: Level, text: &str) -> Result<(), Error> {
-        let program = self.inner.program.driver().program().name.clone();
         let alert = Alert {
             text: text.to_owned(),
             level,
             at: ms_since_1970(SystemTime::now()),
-            program: program.map(|name| name.to_string()).unwrap_or_default(),
+            program: self.program_name(),
         };
         let topic = alert::topic(name)?;
         self.retained().publish(topic, alert.write()).await

@@ -14,11 +14,12 @@ use rect_core::{
     name::topic::Pattern,
     registry::connection::Event,
 };
-use tokio::{task::JoinHandle, time::sleep_until};
+use tokio::task::JoinHandle;
 
 use super::{
     events::Events,
     robot::Robot,
+    shared::sleep_until,
     stop::{FleetStop, StopChanges},
     subscriber::{call, Subscriber},
 };
@@ -95,13 +96,7 @@ impl<T: FromPayload> DeadmanCalls<T> {
             if let Some(reason) = switch.poll(Instant::now()) {
                 return Some(DeadmanCall::Lost(reason));
             }
-            let deadline = switch.deadline();
-            let expired = async {
-                match deadline {
-                    Some(deadline) => sleep_until(deadline.into()).await,
-                    None => std::future::pending().await,
-                }
-            };
+            let expired = sleep_until(switch.deadline());
             tokio::select! {
                 biased;
                 changed = stops.next() => {

@@ -1,9 +1,9 @@
 //! Queries the routers for reachable robots and connections (docs/reference/registry.md lists the keys), and changes the
 //! named connections of a router.
-use std::convert::Infallible;
+use std::{convert::Infallible, time::Instant};
 
 use rect_core::{
-    catalogue::{self, Program, ServiceEntry},
+    catalogue::{self, Program, ServiceEntry, PAUSE},
     cause::Cause,
     driver::Driver,
     message::payload::{Payload, PayloadError},
@@ -116,6 +116,25 @@ impl Robot {
             reason: Cause::new(error),
         });
         Ok(read?)
+    }
+
+    /// Handles that `robot` does not serve something of that name: something that was just declared may be in the catalogue before it can
+    /// be reached, so that this pauses until the next attempt. Returns the names in the catalogue if there is no reason for one: it does
+    /// not contain the name, or the time has passed.
+    pub(super) async fn unless_declared(
+        &self,
+        robot: &Name,
+        name: &str,
+        until: Instant,
+        names: impl Fn(&Program) -> Vec<String>,
+    ) -> Option<Vec<String>> {
+        let programs = self.programs(robot).await.unwrap_or_default();
+        let listed: Vec<_> = programs.iter().flat_map(names).collect();
+        if Instant::now() >= until || !listed.iter().any(|known| known == name) {
+            return Some(listed);
+        }
+        tokio::time::sleep(PAUSE).await;
+        None
     }
 
     /// Returns what the programs of `robot` serve, in alphabetical order of the topics. [`programs`](Self::programs) also states which

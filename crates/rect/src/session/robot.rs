@@ -387,6 +387,12 @@ impl Robot {
         closed.map_err(Error::zenoh("cannot close the session"))
     }
 
+    /// Returns the name of this program; empty if it has none.
+    pub(super) fn program_name(&self) -> String {
+        let program = self.inner.program.driver().program().name.clone();
+        program.map(|name| name.to_string()).unwrap_or_default()
+    }
+
     pub(super) fn payload(&self, value: impl ToPayload) -> Result<Payload, Error> {
         let payload = value.into_payload()?;
         let payload = match &self.codec {

@@ -33,6 +33,14 @@ pub(super) fn lock<T>(state: &Mutex<T>) -> MutexGuard<'_, T> {
     state.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// Sleeps until that time; for ever without one.
+pub(super) async fn sleep_until(at: Option<Instant>) {
+    match at {
+        Some(at) => tokio::time::sleep_until(at.into()).await,
+        None => std::future::pending().await,
+    }
+}
+
 /// The state that an executor shares with Zenoh's callbacks.
 pub(super) struct Shared<D: Driver> {
     driver: Mutex<D>,

@@ -13,6 +13,7 @@ use rect_core::{
         state::{Feedback, KnownGoal, Phase},
         to_optional_value, to_payload,
     },
+    catalogue::{Program, DECLARED_WITHIN},
     message::{
         encoding::Encoding,
         payload::{Payload, ToPayload},
@@ -22,19 +23,19 @@ use rect_core::{
         topic::{Pattern, Topic},
         Name,
     },
-    parameters::order::{DECLARED_WITHIN, PAUSE},
     text::humanize,
 };
 use serde::de::DeserializeOwned;
-use tokio::{
-    sync::watch,
-    task::JoinHandle,
-    time::{sleep, sleep_until},
-};
+use tokio::{sync::watch, task::JoinHandle};
 
 use crate::{
     error::{valid, Error},
-    session::{events::Events, robot::Robot, shared::lock, subscriber::Subscriber},
+    session::{
+        events::Events,
+        robot::Robot,
+        shared::{lock, sleep_until},
+        subscriber::Subscriber,
+    },
 };
 
 /// A goal that this program has [started](Robot::start) or [found](Robot::find). Dropping it does not cancel the goal.
@@ -217,29 +218,23 @@ impl Robot {
         loop {
             match self.request::<Payload>(robot, topic.clone(), order).await {
                 Ok(_) => return Ok(()),
-                // An action that was just declared may be in the catalogue before it can be reached.
                 Err(Error::NoService { .. }) => {
-                    let programs = self.programs(robot).await.unwrap_or_default();
-                    let actions = programs.iter().flat_map(|program| program.actions());
-                    let available: Vec<_> = actions.map(|(name, _)| name.to_owned()).collect();
-                    if Instant::now() >= until || !available.iter().any(|known| known == action) {
+                    let actions = |program: &Program| {
+                        program.actions().map(|(name, _)| name.to_owned()).collect()
+                    };
+                    if let Some(available) =
+                        self.unless_declared(robot, action, until, actions).await
+                    {
                         return Err(Error::NoAction {
                             robot: robot.clone(),
                             action: action.to_owned(),
                             available,
                         });
                     }
-                    sleep(PAUSE).await;
                 }
                 Err(error) => return Err(error),
             }
         }
-    }
-
-    /// Returns the name of this program; empty if it has none.
-    fn program_name(&self) -> String {
-        let program = self.inner.program.driver().program().name.clone();
-        program.map(|name| name.to_string()).unwrap_or_default()
     }
 }
 
@@ -269,12 +264,7 @@ impl Followed {
         } = received;
         while !lock(&self.run).has_ended() {
             let deadline = lock(&self.run).deadline();
-            let due = async {
-                match deadline {
-                    Some(deadline) => sleep_until(deadline.into()).await,
-                    None => std::future::pending().await,
-                }
-            };
+            let due = sleep_until(deadline);
             let has_changed = tokio::select! {
                 biased;
                 message = states.next() => {

@@ -28,7 +28,7 @@ use rect_core::{
 };
 use tokio::{
     sync::{watch, Notify},
-    time::{sleep_until, timeout_at},
+    time::timeout_at,
 };
 
 use super::{
@@ -42,7 +42,7 @@ use crate::{
         executor::Executor,
         robot::Robot,
         service::{Request, Requests},
-        shared::{lock, NoItems},
+        shared::{lock, sleep_until, NoItems},
         stop::{FleetStop, StopChanges},
         warnings::warn,
     },
@@ -245,12 +245,7 @@ impl Shared {
                     None => std::future::pending().await,
                 }
             };
-            let due = async {
-                match until {
-                    Some(until) => sleep_until(until.into()).await,
-                    None => std::future::pending().await,
-                }
-            };
+            let due = sleep_until(until);
             tokio::select! {
                 biased;
                 changed = stops.next() => {

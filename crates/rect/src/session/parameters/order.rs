@@ -2,11 +2,12 @@
 use std::{collections::BTreeMap, time::Instant};
 
 use rect_core::{
+    catalogue::{Program, DECLARED_WITHIN, PAUSE},
     message::payload::Payload,
     name::{topic::Topic, Name},
     parameters::{
         self,
-        order::{to_cbor, InForce, Order, Reset, Stored, DECLARED_WITHIN, PAUSE},
+        order::{to_cbor, InForce, Order, Reset, Stored},
         Value,
     },
 };
@@ -97,18 +98,22 @@ impl Robot {
             reason: parameters::wrong_group(group),
         })?;
         let ParameterOrder(mut order) = order.into();
-        if let Some(program) = &self.inner.program.driver().program().name {
-            order.by = program.to_string();
-        }
+        order.by = self.program_name();
         let payload = to_cbor(&order);
         let until = Instant::now() + DECLARED_WITHIN;
         loop {
             match self.order(&robot, &topic, &payload, order.stored).await {
                 Ok(reply) => return Ok(reply.value::<InForce>()?.values),
-                // A group that was just declared may be in the catalogue before it can be reached.
                 Err(Error::NoService { .. }) => {
-                    let available = self.groups(&robot).await;
-                    if Instant::now() >= until || !available.iter().any(|known| known == group) {
+                    let groups = |program: &Program| {
+                        program
+                            .parameters()
+                            .map(|(name, _)| name.to_owned())
+                            .collect()
+                    };
+                    if let Some(available) =
+                        self.unless_declared(&robot, group, until, groups).await
+                    {
                         let group = group.to_owned();
                         return Err(Error::NoParameters {
                             robot,
@@ -116,7 +121,6 @@ impl Robot {
                             available,
                         });
                     }
-                    sleep(PAUSE).await;
                 }
                 // A group that was declared while the order was in flight, or whose program was started again.
                 Err(Error::Interrupted { .. }) if Instant::now() < until => sleep(PAUSE).await,
@@ -152,12 +156,5 @@ impl Robot {
                 reason: stored.reason,
             }),
         }
-    }
-
-    /// Returns the groups of parameters of a robot, as its catalogue lists them.
-    async fn groups(&self, robot: &Name) -> Vec<String> {
-        let programs = self.programs(robot).await.unwrap_or_default();
-        let groups = programs.iter().flat_map(|program| program.parameters());
-        groups.map(|(group, _)| group.to_owned()).collect()
     }
 }
