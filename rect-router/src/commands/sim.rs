@@ -18,7 +18,7 @@ use signal_hook::{
 };
 use tempfile::TempDir;
 
-use self::{air::Air, program::Program, robot::SimulatedRobot};
+use self::{air::Air, program::Program, robot::{SharedFiles, SimulatedRobot}};
 use super::{wifi::Serving, Failure};
 use crate::args::SimArgs;
 
@@ -49,9 +49,10 @@ pub fn run(args: &SimArgs) -> Result<ExitCode, Failure> {
     let air = Air::start(args.condition, folder.path())?;
     let wifi = args.wifi.then(|| Serving::start(air.socket()));
     let _wifi = wifi.transpose()?;
+    let files = SharedFiles::write(folder.path())?;
     let mut robots = Vec::new();
     for number in 1..=args.robots {
-        robots.push(SimulatedRobot::start(number, args, &air, folder.path())?);
+        robots.push(SimulatedRobot::start(number, args, &air, &files)?);
     }
     let ended = match start(args, &signals, &mut robots) {
         Ok(programs) => {

@@ -436,6 +436,22 @@ fn simulated_robots_answer_at_once_and_end_with_their_command() {
     assert!(!folder.path().join("air.sock").exists());
 }
 
+#[test]
+fn eight_simulated_robots_start_at_the_same_time() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut sim = Command::new(env!("CARGO_BIN_EXE_rect-router"));
+    sim.args(["sim", "--robots", "8", "--port", "0", "--wifi", "--quiet"]);
+    let sim = sim.env(SOCKET_VARIABLE, folder.path().join("air.sock"));
+    let mut sim = RunningCommand(sim.stdout(Stdio::piped()).spawn().expect("it starts"));
+    let lines = BufReader::new(sim.0.stdout.take().expect("piped")).lines();
+    let shown: Vec<_> = lines
+        .map_while(Result::ok)
+        .take_while(|line| !line.contains("Ctrl-C"))
+        .collect();
+    let robots = shown.iter().filter(|line| line.starts_with("wombat-"));
+    assert_eq!(robots.count(), 8, "{shown:#?}");
+}
+
 /// A command that is killed at the end of its test.
 struct RunningCommand(Child);
 

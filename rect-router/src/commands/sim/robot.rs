@@ -31,6 +31,32 @@ const STOP_TIMEOUT: Duration = Duration::from_secs(8);
 /// Number of lines of a log that are shown.
 const LOG_LINES: usize = 5;
 
+/// The files that all routers read. They are written before the first router starts, and never again, so that no router reads a
+/// file while it is written.
+pub struct SharedFiles {
+    folder: PathBuf,
+    configuration: PathBuf,
+    secret: PathBuf,
+}
+
+impl SharedFiles {
+    /// Writes the files to the folder of the simulation.
+    ///
+    /// # Errors
+    /// Fails if a file cannot be written.
+    pub fn write(folder: &Path) -> Result<Self, Failure> {
+        let configuration = folder.join("simulation.json5");
+        fs::write(&configuration, CONFIGURATION)?;
+        let secret = folder.join("secret");
+        fs::write(&secret, "sim:the secret of simulated robots\n")?;
+        Ok(Self {
+            folder: folder.to_owned(),
+            configuration,
+            secret,
+        })
+    }
+}
+
 /// A simulated robot. Dropping it kills its router.
 pub struct SimulatedRobot {
     /// Name of the robot.
@@ -46,33 +72,33 @@ impl SimulatedRobot {
     ///
     /// # Errors
     /// Fails if the configuration cannot be written or the router cannot be started.
-    pub fn start(number: u16, args: &SimArgs, air: &Air, folder: &Path) -> Result<Self, Failure> {
+    pub fn start(
+        number: u16,
+        args: &SimArgs,
+        air: &Air,
+        files: &SharedFiles,
+    ) -> Result<Self, Failure> {
+        let folder = &files.folder;
         let name = format!("wombat-{number}");
         let endpoint = format!("tcp/127.0.0.1:{}", free_port(args.port, number - 1)?);
         let method = if args.wifi { "any" } else { "ble" };
-        let secret = folder.join("secret");
         let protection = match args.wifi {
             // A Wi-Fi path exists only for a link with a secret.
-            true => format!(";secret={}", secret.display()),
+            true => format!(";secret={}", files.secret.display()),
             false => String::new(),
         };
-        if args.wifi && number == 1 {
-            fs::write(&secret, "sim:the secret of simulated robots\n")?;
-        }
         let first = json!({ "name": "wombat-1", "method": method, "address": "wombat-1" });
         let dialled: Vec<_> = (number > 1).then_some(first).into_iter().collect();
         let connections = folder.join(format!("{name}.connections.json"));
         let text = serde_json::to_string_pretty(&json!({ "connections": dialled }))?;
         fs::write(&connections, text)?;
-        let configuration = folder.join("simulation.json5");
-        fs::write(&configuration, CONFIGURATION)?;
         let settings = json!({ "fleet": args.fleet, "robot": name, "connections": connections });
         let log = folder.join(format!("{name}.log"));
         let file = fs::File::create(&log)?;
         let mut command = Command::new(env::current_exe()?);
         command
             .arg("--config")
-            .arg(&configuration)
+            .arg(&files.configuration)
             .args(["--listen", &endpoint])
             .args([
                 "--listen",
