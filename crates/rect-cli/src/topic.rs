@@ -5,10 +5,13 @@ use std::{process::ExitCode, time::Duration};
 use clap::{Args, Subcommand};
 use rect::{Name, Payload, Robot, RobotTopic, Topic};
 use rect_core::{
-    registry::topics::{TopicReport, Topics, KEPT, WINDOW},
-    text::{display::line, humanize::bytes},
+    registry::topics::{TopicReport, Topics, WINDOW},
+    text::{
+        display::line,
+        humanize::{bytes, duration},
+    },
 };
-use rect_dashboard::topics::query;
+use rect_dashboard::topics::{answers, query, Answers, QUERY_TIMEOUT};
 use rect_terminal::{self as terminal, paint, Cell, Style, Table};
 use serde_json::json;
 
@@ -24,6 +27,11 @@ use crate::{
 const COUNTED: Duration = Duration::from_secs(2);
 /// Interval at which `hz` prints.
 const EVERY: Duration = Duration::from_secs(1);
+/// The shortest time for which `list` and `info` count messages.
+const MIN_COUNTED: Duration = Duration::from_millis(100);
+/// How long the routers count after a question: until the next one reaches them, even if one robot does not answer this one before
+/// its timeout, and the radio is slow.
+const KEEP: Duration = WINDOW.saturating_add(QUERY_TIMEOUT.saturating_mul(2));
 
 /// Show the topics that robots publish, as measured by their routers, and the values that they retain
 #[derive(Args)]
@@ -92,11 +100,21 @@ enum TopicCommand {
 #[derive(Args)]
 struct MeasuredArguments {
     /// How long to count messages, at most 5s. A topic without a message in this time is only listed if it is retained
-    #[arg(long, default_value = "2s")]
+    #[arg(long, default_value = "2s", value_parser = counted)]
     duration: DurationArgument,
     /// Print JSON
     #[arg(long)]
     json: bool,
+}
+
+/// Parses how long messages are counted.
+fn counted(text: &str) -> Result<DurationArgument, String> {
+    let counted: DurationArgument = text.parse().map_err(|error| format!("{error}"))?;
+    if (MIN_COUNTED..=WINDOW).contains(&counted.0) {
+        return Ok(counted);
+    }
+    let (from, to) = (duration(MIN_COUNTED), duration(WINDOW));
+    Err(format!("routers count the messages of {from} to {to}"))
 }
 
 /// Runs `rect topic`.
@@ -108,14 +126,18 @@ pub async fn run(arguments: TopicArguments) -> Done {
             join,
         } => {
             let robot = join.join_unnamed().await?;
-            let answers = measure(&robot, publisher.as_ref(), None, measured.duration).await?;
+            let Answers { topics, problems } =
+                measure(&robot, publisher.as_ref(), None, measured.duration).await?;
             if measured.json {
-                let all = answers
+                let all = topics
                     .iter()
                     .map(|(robot, topics)| (robot.clone(), as_json(topics)));
                 terminal::json(&all.collect::<serde_json::Map<_, _>>())?;
             } else {
-                list(&answers);
+                list(&topics);
+            }
+            for problem in problems {
+                rect_terminal::errln!("rect: {problem}");
             }
         }
         TopicCommand::Hz {
@@ -141,6 +163,7 @@ pub async fn run(arguments: TopicArguments) -> Done {
             )
             .await?;
             let topics = answers
+                .topics
                 .first()
                 .map(|(_, topics)| topics.clone())
                 .unwrap_or_default();
@@ -216,11 +239,11 @@ async fn measure(
     publisher: Option<&Name>,
     topic: Option<&str>,
     duration: DurationArgument,
-) -> Result<Vec<(String, Topics)>, Failure> {
+) -> Result<Answers, Failure> {
     // The first query starts the count.
-    query(robot, publisher, topic, KEPT).await?;
-    tokio::time::sleep(duration.0.min(WINDOW)).await;
-    query(robot, publisher, topic, KEPT).await
+    answers(robot, publisher, topic, KEEP).await?;
+    tokio::time::sleep(duration.0).await;
+    answers(robot, publisher, topic, KEEP).await
 }
 
 fn list(answers: &[(String, Topics)]) {
@@ -268,13 +291,13 @@ async fn hz(
     json: bool,
 ) -> Result<(), Failure> {
     // The first query starts the count.
-    query(robot, Some(&topic.robot), Some(topic.topic.as_str()), KEPT).await?;
+    query(robot, Some(&topic.robot), Some(topic.topic.as_str()), KEEP).await?;
     let mut ticks = tokio::time::interval(EVERY);
     ticks.tick().await;
     tokio::time::sleep(COUNTED.saturating_sub(EVERY)).await;
     for _ in 0..count.unwrap_or(u64::MAX) {
         ticks.tick().await;
-        let answers = query(robot, Some(&topic.robot), Some(topic.topic.as_str()), KEPT).await?;
+        let answers = query(robot, Some(&topic.robot), Some(topic.topic.as_str()), KEEP).await?;
         let topics = answers.into_iter().next().map(|(_, topics)| topics);
         let topics = topics.unwrap_or_default();
         let report = topics.topics.first().cloned().unwrap_or_default();

@@ -9,7 +9,7 @@ pub mod selector;
 pub mod servers_query;
 pub mod topics;
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use self::named_connection::CONFIG;
 use crate::{
@@ -22,6 +22,7 @@ use crate::{
     },
     name::{key::KeySpace, Name},
     session::peers::{PeersQuery, TIMEOUT},
+    text::{display, humanize},
 };
 
 const QUERY: Id = Id(100);
@@ -185,4 +186,15 @@ fn service(question: &str) -> String {
     } else {
         format!("the registry ({question})")
     }
+}
+
+/// Describes an error reply to a question to several registries, of which one does not spoil the replies of the others. `who` is the
+/// robot, or `a robot` if it is not known.
+pub fn error_reply(who: &str, timeout: Duration, reply: &Payload) -> String {
+    if is_timeout(None, reply) {
+        let timeout = humanize::duration(timeout);
+        return format!("{who} has not replied within {timeout}; its link may be silent");
+    }
+    let reason = String::from_utf8_lossy(&reply.bytes);
+    format!("{who} replied with an error: {}", display::line(&reason))
 }

@@ -7,8 +7,13 @@ use std::{
 };
 
 use rect_core::{
+    message::{encoding::Encoding, payload::Payload},
+    registry::error_reply,
     session::login,
-    text::humanize::{self, short_reason},
+    text::{
+        display::line,
+        humanize::{self, short_reason},
+    },
 };
 use rect_terminal::{self as terminal, Table};
 use serde_json::Value;
@@ -114,42 +119,68 @@ fn is_listening(endpoint: &str) -> bool {
     }
 }
 
-/// Queries the registries and returns the reply of each robot, sorted by its name.
+/// The replies of registries.
+pub(super) struct Answers {
+    /// The document of each robot, sorted by its name.
+    pub documents: Vec<(String, Value)>,
+    /// What is wrong with the other replies: a registry refused the query, or its reply is not JSON.
+    pub problems: Vec<String>,
+}
+
+/// Queries the registries and returns their replies.
 ///
 /// # Errors
-/// Fails if the query cannot be sent, if a robot replies with an error, or if a reply is not JSON.
-pub(super) fn answers(session: &Session, selector: &str) -> Result<Vec<(String, Value)>, Failure> {
-    let mut answers = Vec::new();
+/// Fails if the query cannot be sent.
+pub(super) fn answers(session: &Session, selector: &str) -> Result<Answers, Failure> {
+    let (mut documents, mut problems) = (Vec::new(), Vec::new());
     for reply in session.get(selector).timeout(REPLY_TIMEOUT).wait()? {
         match reply.into_result() {
             Ok(sample) => {
                 let key = sample.key_expr().as_str();
                 let robot = key.split('/').nth(1).unwrap_or(key).to_owned();
-                answers.push((robot, serde_json::from_slice(&sample.payload().to_bytes())?));
+                match serde_json::from_slice(&sample.payload().to_bytes()) {
+                    Ok(document) => documents.push((robot, document)),
+                    Err(error) => {
+                        problems.push(format!(
+                            "cannot read the reply of {}: {error}",
+                            line(&robot)
+                        ));
+                    }
+                }
             }
             Err(error) => {
-                let message = error.payload().to_bytes();
-                return Err(String::from_utf8_lossy(&message).into_owned().into());
+                let reply = Payload::new(error.payload().to_bytes().into_owned(), Encoding::TEXT);
+                problems.push(error_reply("a robot", REPLY_TIMEOUT, &reply));
             }
         }
     }
-    answers.sort_by(|(robot, _), (other_robot, _)| robot.cmp(other_robot));
-    Ok(answers)
+    documents.sort_by(|(robot, _), (other_robot, _)| robot.cmp(other_robot));
+    Ok(Answers {
+        documents,
+        problems,
+    })
 }
 
-/// Queries the document `name` of the robots and prints the replies, as JSON or as the table that `table` returns.
+/// Queries the document `name` of the robots and prints the replies, as JSON or as the table that `table` returns. It adds to the
+/// problems what it cannot show. Problems are printed, too; they fail the command only if there is no reply to show.
 ///
 /// # Errors
-/// Fails if there is no session, if no robot replies, or if a robot replies with an error.
+/// Fails if there is no session, if no robot replies, or if all of them reply with an error.
 pub(super) fn show(
     args: &QueryArgs,
     name: &str,
-    table: impl FnOnce(&[(String, Value)]) -> Result<Table, Failure>,
+    table: impl FnOnce(&[(String, Value)], &mut Vec<String>) -> Table,
 ) -> Result<(), Failure> {
     let QueryArgs { robot, fleet, .. } = args;
     let session = session(&args.router)?;
-    let robots = answers(&session, &format!("{fleet}/{robot}/@rect/{name}"))?;
-    if robots.is_empty() {
+    let Answers {
+        documents,
+        mut problems,
+    } = answers(&session, &format!("{fleet}/{robot}/@rect/{name}"))?;
+    if documents.is_empty() {
+        if let Some(problem) = problems.into_iter().next() {
+            return Err(problem.into());
+        }
         let missing = match robot.as_str() {
             "*" => "no robot".to_owned(),
             robot => format!("no robot {robot}"),
@@ -158,9 +189,13 @@ pub(super) fn show(
         return Err(format!("{missing} of the fleet {fleet} answers: {advice}").into());
     }
     if args.json {
-        let all: serde_json::Map<_, _> = robots.into_iter().collect();
-        return Ok(terminal::json(&all)?);
+        let all: serde_json::Map<_, _> = documents.into_iter().collect();
+        terminal::json(&all)?;
+    } else {
+        table(&documents, &mut problems).print();
     }
-    table(&robots)?.print();
+    for problem in problems {
+        rect_terminal::errln!("rect: {problem}");
+    }
     Ok(())
 }

@@ -22,12 +22,12 @@ const COLUMNS: [&str; 8] = [
 /// # Errors
 /// Fails if no router or no robot answers.
 pub fn run(args: &QueryArgs) -> Result<(), Failure> {
-    show(args, "status", |robots| {
+    show(args, "status", |robots, _| {
         let mut table = Table::new(&COLUMNS);
         for (robot, status) in robots {
             table.row(row(robot, status));
         }
-        Ok(table)
+        table
     })
 }
 

@@ -7,9 +7,10 @@ use std::{
     time::Instant,
 };
 
-use crate::support::{built, file, skip, Air, Wombat, DEADLINE};
+use crate::support::{built, client, file, skip, Air, Wombat, DEADLINE};
 use serde_json::Value;
 use tempfile::TempDir;
+use zenoh::Wait;
 
 /// A command that is killed at the end of its test.
 struct RunningCommand(Child);
@@ -53,6 +54,70 @@ fn wait_for(at: &Wombat, arguments: &[&str], text: &str) -> String {
             text_of(&output)
         );
     }
+}
+
+#[test]
+fn robots_are_listed_although_another_one_replies_with_an_error() {
+    if !built().join("rect").exists() {
+        return skip("needs the tool: cargo build --workspace");
+    }
+    let (air, folder) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let one = Wombat::start(&air, &folder, 1, &file(&[]));
+    let session = client(&one.endpoint);
+    let wrong = ["topics", "status", "connections"].map(|document| {
+        let key = format!("rect/wombat-8/@rect/{document}");
+        let reply = move |query: zenoh::query::Query| {
+            query.reply_err("out of\x1b[2J order").wait().expect("sent");
+        };
+        let queryable = session.declare_queryable(key).callback(reply);
+        queryable.wait().expect("declared")
+    });
+    let odd = ["topics", "status", "connections"].map(|document| {
+        let key = format!("rect/wombat-9/@rect/{document}");
+        let reply = {
+            let key = key.clone();
+            move |query: zenoh::query::Query| query.reply(&key, "7]").wait().expect("sent")
+        };
+        let queryable = session.declare_queryable(key).callback(reply);
+        queryable.wait().expect("declared")
+    });
+    // Other queryables are known once they reply.
+    wait_for(&one, &["status", "wombat-1"], "wombat-1");
+    let publish = ["pub", "arm/angle", "12.5", "--every", "100ms"];
+    let publish = rect(&one, &publish).stderr(Stdio::null()).spawn();
+    let _publishing = RunningCommand(publish.expect("it runs"));
+    let longest = ["topic", "list", "--duration", "5s"];
+    for (command, text) in [
+        (&["topic", "list"][..], "wombat-1/arm/angle"),
+        (&longest, "wombat-1/arm/angle"),
+        (&["status"], "wombat-1"),
+        // This one is `rect-router connections`, which asks all robots.
+        (&["connections"], ""),
+    ] {
+        let output = match command {
+            ["connections"] => {
+                let mut router = Command::new(env!("CARGO_BIN_EXE_rect-router"));
+                router.args(["connections", "--router", &one.endpoint]);
+                router.output().expect("it runs")
+            }
+            _ => run(&one, command),
+        };
+        let (shown, problems) = (&output.stdout, String::from_utf8_lossy(&output.stderr));
+        let shown = String::from_utf8_lossy(shown);
+        assert!(output.status.success(), "{command:?}: {}", text_of(&output));
+        assert!(shown.contains(text), "{command:?}: {}", text_of(&output));
+        assert!(
+            problems.contains("out of\u{fffd}[2J order") && problems.contains("wombat-9"),
+            "{command:?}: {problems}"
+        );
+    }
+    // Without any other reply, the error is the reason of the failure.
+    let output = run(&one, &["status", "wombat-8"]);
+    assert_eq!(output.status.code(), Some(1), "{}", text_of(&output));
+    assert!(text_of(&output).contains("out of"), "{}", text_of(&output));
+    let too_long = run(&one, &["topic", "list", "--duration", "1m"]);
+    assert_eq!(too_long.status.code(), Some(2), "{}", text_of(&too_long));
+    drop((wrong, odd));
 }
 
 #[test]

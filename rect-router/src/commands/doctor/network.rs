@@ -214,7 +214,7 @@ fn clocks(session: &Session) -> Vec<Finding> {
 
 /// Returns the replies of robots by name. A missing reply is not an error.
 fn replies(session: &Session, selector: &str) -> Vec<(String, Value)> {
-    let mut replies = answers(session, selector).unwrap_or_default();
+    let mut replies = answers(session, selector).map_or_else(|_| Vec::new(), |all| all.documents);
     for (robot, _) in &mut replies {
         *robot = display::line(robot).into_owned();
     }
