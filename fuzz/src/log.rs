@@ -24,6 +24,7 @@ pub fn run(bytes: &[u8]) {
         payload: Payload::new(bytes.to_vec(), Encoding::JSON),
         attachment: None,
         is_deleted: false,
+        priority: Sample::PRIORITY,
     };
     let mut keeper = LogKeeper::new(place.clone(), 1);
     let given = sample("rect/wombat-1/@rect/@set/log/arm");

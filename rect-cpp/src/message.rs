@@ -34,6 +34,8 @@ pub struct Message {
     pub sequence: i64,
     /// Number of messages of the same publisher, directly before this one, that did not arrive.
     pub missed: u32,
+    /// Number of messages of the same publisher, directly before this one, that were left out because the subscription asks for fewer.
+    pub skipped: u32,
     /// Time until the message expires, in milliseconds, when it was delivered. -1: it does not expire.
     pub expires_in_ms: i64,
     /// Of a retained message, how long ago it was published, in seconds, by the clock of its robot's router; it does not depend on the
@@ -71,6 +73,7 @@ impl Message {
             sent_at_ms: -1,
             sequence: -1,
             missed: 0,
+            skipped: 0,
             expires_in_ms: -1,
             age_s: f64::NAN,
             urgency: Urgency::Normal as u32,
@@ -113,6 +116,7 @@ pub fn view(message: &rect::Message, problem: Option<&str>) -> Message {
         sent_at_ms: sent_at_ms.map_or(-1, |ms| i64::try_from(ms).unwrap_or(i64::MAX)),
         sequence: message.sequence.map_or(-1, i64::from),
         missed: message.missed,
+        skipped: message.skipped,
         expires_in_ms: message.expires_at.map_or(-1, |at| {
             let rest = at.saturating_duration_since(Instant::now());
             i64::try_from(rest.as_millis()).unwrap_or(i64::MAX)

@@ -50,6 +50,19 @@ pub struct QueueOptions {
     pub when_full: u32,
 }
 
+/// The settings of a subscription. `rect_subscribe_options options = {0};` are the defaults, and so is NULL.
+#[repr(C)]
+pub struct SubscribeOptions {
+    /// The settings of the receive queue.
+    pub queue: QueueOptions,
+    /// How many messages of each topic are wanted a second at most, 0.01 to 1000; 0 means all, the default. The newest one wins. The
+    /// router of the robot that publishes leaves out the others, so that they cost nothing on the air; they count as `skipped`, and not
+    /// as missed. Messages that are sent to this robot alone, and retained ones, arrive as they are sent.
+    pub max_hz: f64,
+    /// Whether only messages are wanted whose value differs from the last one. The default is no.
+    pub on_change: bool,
+}
+
 /// A callback for messages. The message is valid until the callback returns.
 pub type OnMessage = Option<extern "C" fn(message: *const Message, context: *mut c_void)>;
 
@@ -96,9 +109,15 @@ impl Source for rect::Subscriber {
 fn declare(
     program: &Program,
     pattern: &str,
-    options: Option<&QueueOptions>,
+    given: Option<&SubscribeOptions>,
 ) -> Result<rect::Subscriber, Failure> {
-    let options = QueueOptions::read(options, rect::QueueOptions::default())?;
+    let queue = given.map(|given| &given.queue);
+    let mut options =
+        rect::SubscribeOptions::from(QueueOptions::read(queue, rect::QueueOptions::default())?);
+    if let Some(given) = given {
+        options.max_hz = (given.max_hz != 0.0).then_some(given.max_hz);
+        options.on_change = given.on_change;
+    }
     program.wait(program.robot.subscribe_with(pattern, options))
 }
 
@@ -106,12 +125,13 @@ fn declare(
 /// subscriber receives the matching messages that are published, and those that are sent to this robot. `options` may be
 /// NULL for the defaults.
 ///
-/// Returns `RECT_CODE_TOPIC` or `RECT_CODE_NAME` if the pattern is invalid. May be called on any thread.
+/// Returns `RECT_CODE_TOPIC` or `RECT_CODE_NAME` if the pattern is invalid, and `RECT_CODE_OPTION` if an option is. May be called on any
+/// thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_subscribe(
     robot: RobotHandle,
     pattern: *const c_char,
-    options: Option<&QueueOptions>,
+    options: Option<&SubscribeOptions>,
     subscriber: Option<&mut MaybeUninit<Subscriber>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
 ) -> Code {
@@ -188,13 +208,14 @@ pub extern "C" fn rect_subscriber_counts_by_sender(
 ///
 /// `release` is called once with `context` when no more calls will follow, even if this function fails.
 ///
-/// Returns `RECT_CODE_TOPIC` or `RECT_CODE_NAME` if the pattern is invalid. May be called on any thread. The callback may call
+/// Returns `RECT_CODE_TOPIC` or `RECT_CODE_NAME` if the pattern is invalid, and `RECT_CODE_OPTION` if an option is. May be called on any
+/// thread. The callback may call
 /// any function of RECT and may drop its own subscription.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_on_message(
     robot: RobotHandle,
     pattern: *const c_char,
-    options: Option<&QueueOptions>,
+    options: Option<&SubscribeOptions>,
     callback: OnMessage,
     context: *mut c_void,
     release: Release,

@@ -110,10 +110,14 @@ TEST_CASE("numbers out of range are rejected") {
     rect_robot derived;
     CHECK_THAT(argument_error(rect_robot_with_urgency(alone(), 3, &derived, &error), error),
                ContainsSubstring("urgency is 3, but must be 0 to 2"));
-    const rect_queue_options options{0, 7};
+    rect_subscribe_options options{};
+    options.queue.when_full = 7;
     rect_subscriber subscriber;
     CHECK_THAT(argument_error(rect_robot_subscribe(alone(), "*/n", &options, &subscriber, &error), error),
                ContainsSubstring("when_full is 7"));
+    options = {};
+    options.max_hz = -1;
+    CHECK(rect_robot_subscribe(alone(), "*/n", &options, &subscriber, &error) == RECT_CODE_OPTION);
     rect_buffer buffer;
     CHECK_THAT(argument_error(rect_picture_payload(1, 1, 9, "x", 1, &buffer, &error), error),
                ContainsSubstring("format is 9"));

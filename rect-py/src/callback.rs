@@ -14,7 +14,7 @@ use rect_core::{
 use crate::{
     connection::Links,
     counters::AtomicCounters,
-    driver::{bytes_of, is_delete},
+    driver::{bytes_of, is_delete, priority_of},
     message::{Inbound, MessageMetadata},
     queue::Queue,
     requester::OpenRequests,
@@ -81,8 +81,7 @@ impl OnMessage {
             .then(|| bytes_of(&attachment))
             .transpose()?;
         let attachment = attachment.as_ref().map(|bytes| bytes.extract::<&[u8]>());
-        let priority = sample.getattr(intern!(py, "priority"))?;
-        let priority: u8 = priority.call_method0(intern!(py, "__int__"))?.extract()?;
+        let priority = priority_of(sample)?;
         let kind = sample.getattr(intern!(py, "kind"))?;
         let is_deleted = is_delete(&kind)?;
         let metadata = self.inbound.get().on_delivery(

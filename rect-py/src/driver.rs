@@ -5,7 +5,7 @@ mod sessions;
 mod step;
 
 pub use fields::{ConnectionsReport, Servers, ToPython};
-pub use report::{bytes_of, is_delete, Report};
+pub use report::{bytes_of, is_delete, priority_of, Report};
 pub use sessions::{
     direct_presence, established_wait, expected_connection, interrupted, no_service, not_reachable,
     observer, peer_wait, peers_query, reachable_robots, registry_change, registry_query,
@@ -101,7 +101,7 @@ impl Driver {
     }
 
     /// Handles a sample of a subscriber. Returns the items to deliver, and whether to poll.
-    #[pyo3(signature = (id, key, bytes, encoding, attachment=None, is_deleted=false))]
+    #[pyo3(signature = (id, key, bytes, encoding, attachment=None, is_deleted=false, priority=driver::Sample::PRIORITY))]
     #[allow(clippy::too_many_arguments)] // The fields of a sample.
     fn on_sample(
         &self,
@@ -112,8 +112,10 @@ impl Driver {
         encoding: &str,
         attachment: Option<PyBackedBytes>,
         is_deleted: bool,
+        priority: u8,
     ) -> PyResult<Reaction> {
-        let sample = fields::sample(key, payload(bytes, encoding), attachment, is_deleted);
+        let payload = payload(bytes, encoding);
+        let sample = fields::sample(key, payload, attachment, is_deleted, priority);
         self.on_event(py, Event::Sample { id: Id(id), sample })
     }
 
@@ -126,7 +128,8 @@ impl Driver {
         bytes: PyBackedBytes,
         encoding: &str,
     ) -> PyResult<Reaction> {
-        let reply = Ok(fields::sample(key, payload(bytes, encoding), None, false));
+        let payload = payload(bytes, encoding);
+        let reply = Ok(fields::sample(key, payload, None, false, driver::Sample::PRIORITY));
         self.on_event(py, Event::Reply { id: Id(id), reply })
     }
 

@@ -2,7 +2,7 @@
 use pyo3::{prelude::*, sync::PyOnceLock, types::PyModule};
 use rect_core::{
     codec::{dictionary::DictionaryError, CodecError},
-    message::payload::PayloadError,
+    message::{payload::PayloadError, throttled::WishError},
     name::{topic::TopicError, NameError},
     text::humanize,
     transfer::OfferError,
@@ -86,6 +86,13 @@ impl Raised for PayloadError {
 impl Raised for DictionaryError {
     fn raised(self) -> PyErr {
         Python::attach(|py| raised(py, "DictionaryError", (humanize::with_causes(&self),)))
+    }
+}
+
+impl Raised for WishError {
+    fn raised(self) -> PyErr {
+        let reason = self.to_string();
+        Python::attach(|py| raised(py, "OptionError", ("max_hz", self.0, reason)))
     }
 }
 

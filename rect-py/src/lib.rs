@@ -3,6 +3,7 @@
 //! Most classes wrap one type of the core, which makes all decisions and does no I/O. Only transfers and
 //! recordings also use the library's files. The sessions are part of the Python code (`python/rect/`), which uses eclipse-zenoh.
 mod action;
+mod action_result;
 mod attachment;
 mod callback;
 mod clock;
@@ -48,6 +49,7 @@ mod _rect {
             goal_ended, goal_feedback_topic, goal_id, goal_to_start, goal_topic, goals_query,
             no_action, ActionOrder, ActionRun, ActionServer, GoalMessage,
         },
+        action_result::{ResultPull, ResultToKeep, Results},
         attachment::{read_attachment, write_attachment},
         callback::{OnMessage, OnRequest},
         codec::{decode, Codec, Dictionary},
@@ -63,11 +65,11 @@ mod _rect {
         },
         errors::{forget, on_one_line},
         key_space::{
-            check_encoding, check_name, check_topic, encoding_parts, pattern, InternalTopic,
+            check_encoding, check_name, check_topic, encoding_kind, encoding_parts, pattern, InternalTopic,
             KeySpace,
         },
         log::{
-            alert_topic, alerts_query, level_of_logging, log_keeper, log_reader, write_alert,
+            alert_topic, alerts_query, level_of_logging, log_keeper, log_reader, throttle, write_alert,
             LogOutbox,
         },
         message::{Inbound, MessageMetadata},
@@ -86,7 +88,7 @@ mod _rect {
         },
         requester::Requester,
         retry::{retried_request, Execution, Once},
-        router::{check_router, default_login_file, robot_of_router, JoinAttempts},
+        router::{check_router, default_login_file, robot_of_router, router_advice, JoinAttempts},
         settings::{default_router, session_settings},
         state::{
             latest, state_keeper, KeptValue, ProgramState, RetainedValue, StateArrival, StateOrder,

@@ -12,6 +12,7 @@ use pyo3::{
     IntoPyObjectExt,
 };
 use rect_core::{
+    throttle::Throttle,
     alert::{
         self,
         query::{AlertsQuery, RobotAlert},
@@ -135,6 +136,12 @@ pub fn log_reader(
 #[pyfunction]
 pub fn log_keeper(key_space: &KeySpace, run: u32) -> Driver {
     Driver::new(LogKeeper::new(key_space.0.clone(), run), &Clock::new())
+}
+
+/// Creates the throttle of a program without a router.
+#[pyfunction]
+pub fn throttle(key_space: &KeySpace) -> Driver {
+    Driver::new(Throttle::new(key_space.0.clone()), &Clock::new())
 }
 
 /// Returns the level of a number of the module `logging`.

@@ -1,7 +1,7 @@
 //! Makes messages from the samples that Zenoh delivers, and counts missed ones.
 use std::{
     sync::{Mutex, MutexGuard, PoisonError},
-    time::Instant,
+    time::{Duration, Instant, UNIX_EPOCH},
 };
 
 use bytes::Bytes;
@@ -12,7 +12,8 @@ use rect_core::{
         self,
         encoding::Encoding,
         payload::Payload,
-        retained::{Arrival, Following},
+        retained::{Arrival, Following, Retained},
+        throttled::Wish,
         Delivery, Message, Undelivered,
     },
     name::{
@@ -41,12 +42,20 @@ pub struct MessageMetadata {
 
 #[pymethods]
 impl Inbound {
-    /// Creates the state of a subscription to a pattern.
+    /// Creates the state of a subscription to a pattern: to at most so many messages a second, and to those whose value differs.
     #[new]
-    fn new(key_space: &KeySpace, pattern: &str) -> PyResult<Self> {
+    #[pyo3(signature = (key_space, pattern, max_hz=None, on_change=false))]
+    fn new(
+        key_space: &KeySpace,
+        pattern: &str,
+        max_hz: Option<f64>,
+        on_change: bool,
+    ) -> PyResult<Self> {
         let pattern = Pattern::new(pattern).or_raise()?;
-        let selected = key_space.0.subscriptions(&pattern);
-        Ok(Self::of(key_space, selected.into()))
+        let wish = Wish::new(max_hz, on_change).or_raise()?;
+        let place = key_space.0.clone();
+        let inbound = message::Inbound::of_pattern(place, &pattern, wish, Instant::now());
+        Ok(Self(Mutex::new(inbound)))
     }
 
     /// Creates the state of the subscriptions of a recorder.
@@ -58,12 +67,12 @@ impl Inbound {
 
     /// Returns the key expressions to subscribe to. The number of one of them is that of `OnMessage`.
     fn keys(&self) -> Vec<String> {
-        let inbound = self.inbound();
-        let keys = inbound
-            .selected()
-            .iter()
-            .map(|selected| selected.key.clone());
-        keys.collect()
+        self.inbound().keys()
+    }
+
+    /// Returns the key of the token by which a throttled subscription asks for messages.
+    fn token(&self) -> Option<String> {
+        self.inbound().token().map(str::to_owned)
     }
 
     /// Returns the number of received and missed messages of each sender.
@@ -150,8 +159,89 @@ impl MessageMetadata {
     }
 }
 
+/// Sender, recipient, topic, urgency, time of sending, numbers, flags, the seconds until the message expires (negative: since it
+/// has expired), and what is known of a retained value.
+type Fields = (
+    String,
+    Option<String>,
+    String,
+    String,
+    Option<u64>,
+    Option<u32>,
+    Option<u16>,
+    u32,
+    bool,
+    bool,
+    Option<f64>,
+    Option<(f64, bool, bool)>,
+);
+
 #[pymethods]
 impl MessageMetadata {
+    /// Makes the metadata that `__reduce__` has described.
+    #[new]
+    fn new(py: Python<'_>, fields: Fields) -> PyResult<Self> {
+        let (sender, recipient, topic, urgency, sent_at_ms, sequence, publisher) = (
+            fields.0, fields.1, fields.2, fields.3, fields.4, fields.5, fields.6,
+        );
+        let (missed, late, replayed, expires_s, retained) =
+            (fields.7, fields.8, fields.9, fields.10, fields.11);
+        let recipient = recipient.as_deref().map(key_space::name).transpose()?;
+        let now = Instant::now();
+        let of_s = |s: f64| Duration::try_from_secs_f64(s).unwrap_or_default();
+        let expires_at = expires_s.map(|s| match s < 0.0 {
+            true => now.checked_sub(of_s(-s)).unwrap_or(now),
+            false => now + of_s(s),
+        });
+        let message = Message {
+            recipient,
+            urgency: urgency::parse(py, &urgency)?,
+            sent_at: sent_at_ms.and_then(|ms| UNIX_EPOCH.checked_add(Duration::from_millis(ms))),
+            sequence,
+            publisher,
+            missed,
+            late,
+            replayed,
+            expires_at,
+            retained: retained.map(|(age_s, has_ended, is_forgotten)| Retained {
+                age: of_s(age_s),
+                has_ended,
+                is_forgotten,
+            }),
+            ..Message::new(
+                key_space::name(&sender)?,
+                key_space::topic(&topic)?,
+                Payload::new(Bytes::new(), Encoding::BYTES),
+            )
+        };
+        Ok(Self::of(message))
+    }
+
+    /// Returns how `pickle` and `copy` make the same metadata.
+    fn __reduce__<'py>(this: &Bound<'py, Self>) -> (Bound<'py, PyAny>, (Fields,)) {
+        let message = &this.get().message;
+        let now = Instant::now();
+        let expires_s = message.expires_at.map(|at| match at < now {
+            true => -(now - at).as_secs_f64(),
+            false => (at - now).as_secs_f64(),
+        });
+        let fields = (
+            message.sender.to_string(),
+            message.recipient.as_ref().map(Name::to_string),
+            message.topic.to_string(),
+            urgency::as_str(message.urgency).to_owned(),
+            this.get().sent_at_ms(),
+            message.sequence,
+            message.publisher,
+            message.missed,
+            message.late,
+            message.replayed,
+            expires_s,
+            this.get().retained(),
+        );
+        (this.get_type().into_any(), (fields,))
+    }
+
     #[getter]
     fn sender(&self) -> &str {
         self.message.sender.as_str()
@@ -185,6 +275,11 @@ impl MessageMetadata {
     #[getter]
     pub fn missed(&self) -> u32 {
         self.message.missed
+    }
+
+    #[getter]
+    fn skipped(&self) -> u32 {
+        self.message.skipped
     }
 
     /// Whether the message has expired.

@@ -107,6 +107,7 @@ impl Inquiry {
                 payload: payload_of(&ok)?,
                 attachment,
                 is_deleted: false,
+                priority: rect_core::driver::Sample::PRIORITY,
             })
         };
         let kind = lock(&self.0).on_reply(received);

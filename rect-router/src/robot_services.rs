@@ -3,7 +3,7 @@
 use std::{sync::Arc, time::Instant};
 
 use parking_lot::Mutex;
-use rect::{KeptLog, KeptState};
+use rect::{KeptLog, KeptState, RunningThrottle};
 use rect_connections::{AutoConnect, MAX_AUTO_LINKS};
 use rect_core::{
     catalogue::keeper::Keeper,
@@ -39,6 +39,7 @@ pub struct RunningServices {
     _registry: Registry,
     _state: Arc<KeptState>,
     _log: KeptLog,
+    _throttle: RunningThrottle,
 }
 
 impl Drop for RunningServices {
@@ -139,6 +140,7 @@ impl RobotServices {
             state.is_some_and(|state| state.has(topic))
         };
         let log = KeptLog::start(session, place.clone())?;
+        let throttle = RunningThrottle::start(session, place.clone())?;
         catalogue::serve(session, &place, &programs, Box::new(is_retained))?;
         let (connections, fleet) = (self.connections.clone(), Arc::clone(&self.fleet));
         let alerting = Arc::downgrade(&state);
@@ -162,6 +164,7 @@ impl RobotServices {
             _registry: registry,
             _state: state,
             _log: log,
+            _throttle: throttle,
         })
     }
 }

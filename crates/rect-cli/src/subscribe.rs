@@ -2,7 +2,7 @@
 use std::{process::ExitCode, time::SystemTime};
 
 use clap::Args;
-use rect::{Message, Pattern, Payload};
+use rect::{Message, Pattern, Payload, SubscribeOptions};
 use rect_core::{clock::unix::ms_since_1970, text::display::line};
 use rect_terminal::clock::time_of_day;
 use rect_terminal::{self as terminal, paint, Style};
@@ -18,6 +18,12 @@ pub struct SubArguments {
     /// Exit after this number of messages
     #[arg(long)]
     count: Option<u64>,
+    /// Receive at most so many messages of each topic a second, such as 2 or 0.5; the robot that publishes leaves out the others
+    #[arg(long, value_name = "RATE")]
+    max_hz: Option<f64>,
+    /// Receive only messages whose value differs from the last one
+    #[arg(long)]
+    on_change: bool,
     /// Print a line of JSON for each message
     #[arg(long)]
     json: bool,
@@ -31,7 +37,13 @@ pub struct SubArguments {
 /// Runs `rect sub`.
 pub async fn run(arguments: SubArguments) -> Done {
     let robot = arguments.join.join_unnamed().await?;
-    let messages = robot.subscribe::<Payload>(&arguments.pattern).await?;
+    let options = SubscribeOptions {
+        max_hz: arguments.max_hz,
+        on_change: arguments.on_change,
+        ..SubscribeOptions::default()
+    };
+    let pattern = arguments.pattern.clone();
+    let messages = robot.subscribe_with::<Payload>(pattern, options).await?;
     let pattern = arguments.pattern.to_string();
     rect_terminal::errln!(
         "rect: subscribed to {}; press Ctrl-C to exit",
@@ -107,6 +119,7 @@ pub fn as_json(message: &Message) -> serde_json::Value {
         "sent_ms": message.sent_at.map(ms_since_1970),
         "sequence": message.sequence,
         "missed": message.missed,
+        "skipped": message.skipped,
         "late": message.late,
         "replayed": message.replayed,
         "method": message.method,

@@ -25,5 +25,6 @@ pub mod stop;
 pub mod storage;
 pub mod stream;
 pub mod text;
+pub mod throttle;
 pub mod transfer;
 pub mod video;

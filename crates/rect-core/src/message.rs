@@ -13,6 +13,7 @@ pub mod queue;
 pub mod request;
 pub mod retained;
 pub mod sequence;
+pub mod throttled;
 pub mod urgency;
 
 use std::time::{Duration, Instant, SystemTime};
@@ -20,16 +21,17 @@ use std::time::{Duration, Instant, SystemTime};
 use zenoh_keyexpr::keyexpr;
 
 use self::{
-    attachment::Attachment,
+    attachment::{Attachment, Sent},
     encoding::Encoding,
     gaps::{Gaps, SenderCounts},
     payload::{FromPayload, Payload, PayloadError},
     retained::{live::Live, order::RetainedOrder, Arrival, Following, Retained},
+    throttled::{header::Header, receiver::Receiver, Wish},
     urgency::Urgency,
 };
 use crate::name::{
     key::{Address, AddressError, Audience, KeySpace, Selected},
-    topic::Topic,
+    topic::{Pattern, Topic},
     Name,
 };
 
@@ -57,6 +59,9 @@ pub struct Message<T = ()> {
     pub publisher: Option<u16>,
     /// The number of messages that the publisher sent directly before this one and that did not arrive.
     pub missed: u32,
+    /// The number of messages that the publisher sent directly before this one and that were left out because the subscription asked for
+    /// fewer ([`Wish`]).
+    pub skipped: u32,
     /// Whether a message that was published later arrived before this one.
     pub late: bool,
     /// Whether the message repeats one of a recording. [`sent_at`](Self::sent_at) is the time of that one.
@@ -88,6 +93,7 @@ impl Message {
             sequence: None,
             publisher: None,
             missed: 0,
+            skipped: 0,
             late: false,
             replayed: false,
             expires_at: None,
@@ -110,12 +116,39 @@ impl Message {
             sequence: self.sequence,
             publisher: self.publisher,
             missed: self.missed,
+            skipped: self.skipped,
             late: self.late,
             replayed: self.replayed,
             expires_at: self.expires_at,
             method: self.method,
             retained: self.retained,
         }
+    }
+}
+
+impl Message {
+    /// Sets what its publisher says about it. It has been on the way for `age`. `now` is only needed if it expires.
+    ///
+    /// # Errors
+    /// [`Undelivered::Expired`] if it has.
+    fn describe(
+        &mut self,
+        attachment: &Attachment,
+        age: Duration,
+        now: Option<Instant>,
+    ) -> Result<(), Undelivered> {
+        self.sequence = Some(attachment.sequence);
+        self.publisher = Some(attachment.source);
+        self.sent_at = attachment.sent.at();
+        self.replayed = attachment.sent.is_replayed();
+        let Some((ms, now)) = attachment.lifetime_ms.zip(now) else {
+            return Ok(());
+        };
+        let rest = Duration::from_millis(ms.into()).checked_sub(age);
+        let missed = self.missed;
+        let rest = rest.filter(|rest| !rest.is_zero());
+        self.expires_at = Some(now + rest.ok_or(Undelivered::Expired { missed })?);
+        Ok(())
     }
 }
 
@@ -178,6 +211,17 @@ pub struct Inbound {
     /// Whether retained messages come from the router.
     following: Following,
     retained: RetainedOrder,
+    throttled: Option<Throttled>,
+}
+
+/// A subscription that wants fewer messages than are published.
+#[derive(Debug)]
+struct Throttled {
+    /// The key expression of its messages.
+    key: String,
+    /// The key of the token by which it asks for them.
+    token: String,
+    receiver: Receiver,
 }
 
 impl Inbound {
@@ -190,6 +234,21 @@ impl Inbound {
             last: None,
             following: Following::default(),
             retained: RetainedOrder::default(),
+            throttled: None,
+        }
+    }
+
+    /// Creates the state of the subscriptions of a pattern. `wish`: to fewer messages than are published to all robots.
+    pub fn of_pattern(keys: KeySpace, pattern: &Pattern, wish: Option<Wish>, now: Instant) -> Self {
+        let throttled = wish.map(|wish| Throttled {
+            key: throttled::subscription(&keys, pattern),
+            token: throttled::token(&keys, wish, pattern),
+            receiver: Receiver::new(wish),
+        });
+        let selected = keys.subscriptions(pattern);
+        Self {
+            throttled,
+            ..Self::new(keys, selected, now)
         }
     }
 
@@ -244,6 +303,9 @@ impl Inbound {
         delivered: Delivery<'_>,
         now: impl FnOnce() -> Instant,
     ) -> Result<Message, Undelivered> {
+        if self.is_throttled(delivered.subscription) {
+            return self.on_throttled(delivered, now());
+        }
         let address = self.parse(delivered.key, delivered.subscription)?;
         let live = delivered.attachment.and_then(Live::decode);
         if let Some(live) = live.filter(|_| self.following.is_active()) {
@@ -273,30 +335,81 @@ impl Inbound {
                 }
             }
             Some(attachment) => {
-                let lifetime = attachment
-                    .lifetime_ms
-                    .map(|ms| (now(), Duration::from_millis(ms.into())));
-                let now = lifetime.map(|(now, _)| now);
+                let now = attachment.lifetime_ms.map(|_| now());
                 let arrival = (self.gaps).on_message(&message.sender, &attachment, now);
-                message.sequence = Some(attachment.sequence);
-                message.publisher = Some(attachment.source);
                 (message.missed, message.late) = (arrival.missed, arrival.late);
-                message.sent_at = attachment.sent.at();
-                message.replayed = attachment.sent.is_replayed();
-                if let Some((now, lifetime)) = lifetime {
-                    let rest = lifetime.checked_sub(arrival.age);
-                    let rest = rest.filter(|rest| !rest.is_zero());
-                    let missed = message.missed;
-                    message.expires_at = Some(now + rest.ok_or(Undelivered::Expired { missed })?);
-                }
+                message.describe(&attachment, arrival.age, now)?;
             }
         }
         Ok(message)
     }
 
-    /// Returns the subscriptions.
+    /// Returns the message of a throttled subscription that a sample contains.
+    fn on_throttled(
+        &mut self,
+        delivered: Delivery<'_>,
+        now: Instant,
+    ) -> Result<Message, Undelivered> {
+        let throttled = self.throttled.as_mut().ok_or(Undelivered::NotSelected)?;
+        let receiver = &mut throttled.receiver;
+        let (sender, topic) =
+            throttled::of_message(&self.keys, delivered.key).ok_or(Undelivered::NotSelected)?;
+        let (header, attachment) = (delivered.attachment)
+            .and_then(Header::decode)
+            .ok_or(Undelivered::NotSelected)?;
+        let attachment = Attachment::decode(attachment);
+        let place = receiver.place(&sender, &topic, header, now);
+        // What is missing on the way is known by the numbers of the stream: those of the publisher also leave out what nobody wants.
+        let numbered = Attachment {
+            source: place.source,
+            sequence: place.number,
+            sent: attachment.map_or(Sent::Unknown, |attachment| attachment.sent),
+            lifetime_ms: None,
+        };
+        let expires = attachment.and_then(|attachment| attachment.lifetime_ms);
+        let at = expires.map(|_| now);
+        let arrival = self.gaps.on_message(&sender, &numbered, at);
+        let wanted =
+            receiver.on_message((&sender, &topic), (header, attachment), arrival.missed, now);
+        let wanted = wanted.ok_or(Undelivered::NotSelected)?;
+        let mut message = Message {
+            urgency: Urgency::from_priority(delivered.priority),
+            missed: wanted.missed,
+            skipped: wanted.skipped,
+            late: arrival.late,
+            ..Message::new(sender, topic, delivered.payload)
+        };
+        if let Some(attachment) = attachment {
+            message.describe(&attachment, arrival.age, at)?;
+        }
+        Ok(message)
+    }
+
+    /// Returns the subscriptions that select the messages.
     pub fn selected(&self) -> &[Selected] {
         &self.selected
+    }
+
+    /// Returns the key expressions to subscribe to.
+    pub fn keys(&self) -> Vec<String> {
+        let selected = self.selected.iter().enumerate();
+        let key = |(at, selected): (usize, &Selected)| match &self.throttled {
+            Some(throttled) if self.is_throttled(at) => throttled.key.clone(),
+            _ => selected.key.clone(),
+        };
+        selected.map(key).collect()
+    }
+
+    /// Returns whether the messages of that subscription are throttled: those that are published to all robots.
+    fn is_throttled(&self, subscription: usize) -> bool {
+        let selected = self.selected.get(subscription);
+        self.throttled.is_some() && selected.is_some_and(|one| one.audience == Audience::All)
+    }
+
+    /// Returns the key of the token by which a throttled subscription asks for messages.
+    pub fn token(&self) -> Option<&str> {
+        let throttled = self.throttled.as_ref()?;
+        Some(&throttled.token)
     }
 
     fn parse(&mut self, key: &str, subscription: usize) -> Result<Address, Undelivered> {

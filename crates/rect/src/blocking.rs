@@ -39,7 +39,7 @@ pub use self::{
 use crate::{
     session, Connection, Counters, Deadman, Error, Event, FromPayload, Gathered, GroupOptions,
     Level, LogItem, LogLine, LogOptions, Message, Name, NamedConnection, Options, ParameterGroup,
-    ParameterOrder, ParameterValue, Pattern, Payload, Program, QueueOptions, Reply, RobotAlert,
+    ParameterOrder, ParameterValue, Pattern, Payload, Program, SubscribeOptions, Reply, RobotAlert,
     Service, ServiceEntry, ServiceOptions, ToPayload, Topic, Urgency,
 };
 use rect_core::codec::{dictionary::Dictionary, Codec};
@@ -273,19 +273,19 @@ impl Robot {
         &self,
         pattern: impl TryInto<Pattern, Error: Into<Error>>,
     ) -> Result<Subscriber<T>, Error> {
-        self.subscribe_with(pattern, QueueOptions::default())
+        self.subscribe_with(pattern, SubscribeOptions::default())
     }
 
-    /// Subscribes to the messages that match `pattern`, with other settings of the receive queue.
+    /// Subscribes to the messages that match `pattern`, with other settings: of the receive queue, or for fewer messages.
     ///
     /// # Errors
-    /// Returns the same errors as [`crate::Robot::subscribe`].
+    /// Returns the same errors as [`crate::Robot::subscribe_with`].
     pub fn subscribe_with<T: FromPayload>(
         &self,
         pattern: impl TryInto<Pattern, Error: Into<Error>>,
-        queue: QueueOptions,
+        options: impl Into<SubscribeOptions>,
     ) -> Result<Subscriber<T>, Error> {
-        let subscribed = self.robot.subscribe_with(pattern, queue);
+        let subscribed = self.robot.subscribe_with(pattern, options);
         Ok(Subscriber {
             subscriber: self.runtime.wait(subscribed)?,
             runtime: self.runtime.clone(),
@@ -305,20 +305,20 @@ impl Robot {
         pattern: impl TryInto<Pattern, Error: Into<Error>>,
         callback: impl FnMut(Message<T::Value>) + Send + 'static,
     ) -> Result<Subscription, Error> {
-        self.on_message_with::<T>(pattern, QueueOptions::default(), callback)
+        self.on_message_with::<T>(pattern, SubscribeOptions::default(), callback)
     }
 
-    /// Calls `callback` for each message that matches `pattern`, with other settings of the receive queue.
+    /// Calls `callback` for each message that matches `pattern`, with other settings: of the receive queue, or for fewer messages.
     ///
     /// # Errors
-    /// Returns the same errors as [`on_message`](Self::on_message).
+    /// Returns the same errors as [`crate::Robot::subscribe_with`].
     pub fn on_message_with<T: FromPayload>(
         &self,
         pattern: impl TryInto<Pattern, Error: Into<Error>>,
-        queue: QueueOptions,
+        options: impl Into<SubscribeOptions>,
         callback: impl FnMut(Message<T::Value>) + Send + 'static,
     ) -> Result<Subscription, Error> {
-        let subscribed = self.robot.subscribe_with::<T>(pattern, queue);
+        let subscribed = self.robot.subscribe_with::<T>(pattern, options);
         let subscriber = self.runtime.wait(subscribed)?;
         Subscription::start::<T>(self.runtime.clone(), subscriber, callback)
     }

@@ -29,6 +29,7 @@ mod recording;
 mod registry;
 mod request;
 mod requester;
+mod results;
 mod retained;
 mod retry;
 mod robot;
@@ -41,12 +42,15 @@ mod stop;
 mod stream;
 mod subscriber;
 mod threads;
+mod throttle;
 mod transfer;
 mod urgency_sessions;
 mod waiting;
 mod warnings;
 
-pub use action::{Action, ActionChanges, ActionOptions, ActionRun, Cancelled, Goal};
+pub use action::{
+    Action, ActionChanges, ActionOptions, ActionRun, Cancelled, Goal, StartOptions,
+};
 pub use deadman::Deadman;
 #[doc(hidden)]
 pub use deadman::{DeadmanCall, DeadmanCalls};
@@ -71,7 +75,8 @@ pub use state::{KeptState, Save};
 pub use stop::{FleetStop, StopChanges};
 pub use stream::{Frame, StreamSender, Watcher};
 pub(crate) use subscriber::call;
-pub use subscriber::{QueueOptions, Subscriber, Subscription};
+pub use throttle::RunningThrottle;
+pub use subscriber::{QueueOptions, SubscribeOptions, Subscriber, Subscription};
 pub use threads::use_one_thread;
 pub use transfer::{
     Destination, IncomingTransfer, ReceiveOptions, Received, Transfer, TransferSource, Transfers,

@@ -45,6 +45,21 @@ struct QueueOptions {
     WhenFull when_full = WhenFull::drop_oldest;
 };
 
+/// The settings of a subscription. QueueOptions become such settings by themselves.
+struct SubscribeOptions {
+    SubscribeOptions() = default;
+    SubscribeOptions(QueueOptions settings) : queue(settings) {}  // NOLINT(google-explicit-constructor)
+
+    /// The settings of the receive queue.
+    QueueOptions queue;
+    /// How many messages of each topic are wanted a second at most, 0.01 to 1000; 0 means all, the default. The newest one wins. The
+    /// router of the robot that publishes leaves out the others, so that they cost nothing on the air; they count as skipped(), and not
+    /// as missed. Messages that are sent to this robot alone, and retained ones, arrive as they are sent.
+    double max_hz = 0;
+    /// Whether only messages are wanted whose value differs from the last one.
+    bool on_change = false;
+};
+
 /// @cond
 namespace detail {
 
@@ -53,6 +68,14 @@ inline rect_queue_options raw(const QueueOptions& queue) noexcept {
     raw.capacity = queue.capacity;
     raw.when_full = static_cast<std::uint32_t>(queue.when_full);
     return raw;
+}
+
+inline rect_subscribe_options raw(const SubscribeOptions& options) noexcept {
+    rect_subscribe_options raw_options{};
+    raw_options.queue = raw(options.queue);
+    raw_options.max_hz = options.max_hz;
+    raw_options.on_change = options.on_change;
+    return raw_options;
 }
 
 }  // namespace detail
@@ -103,6 +126,8 @@ public:
     }
     /// Returns how many messages of the same publisher, directly before this one, did not arrive.
     [[nodiscard]] std::uint32_t missed() const noexcept { return raw_.missed; }
+    /// Returns how many messages of the same publisher, directly before this one, were left out because the subscription asks for fewer.
+    [[nodiscard]] std::uint32_t skipped() const noexcept { return raw_.skipped; }
     /// Returns the time until the message expires, when it was delivered; nothing if it does not expire.
     [[nodiscard]] std::optional<std::chrono::milliseconds> expires_in() const {
         return raw_.expires_in_ms < 0 ? std::nullopt : std::optional<std::chrono::milliseconds>(raw_.expires_in_ms);

@@ -223,14 +223,15 @@ public:
 
     /// Subscribes to a pattern: `<robot>/<topic>` with wildcards, e.g. `*/arm/*`. The Subscriber receives the matching
     /// messages that are published, and those that are sent to this robot: a SubscriberOf with `subscribe<Battery>("*/battery")`,
-    /// otherwise a Subscriber of any values. Fails with Code::topic or Code::name if the pattern is invalid.
+    /// otherwise a Subscriber of any values. Fails with Code::topic or Code::name if the pattern is invalid, and with Code::option if an
+    /// option is.
     template <class T = void>
-    [[nodiscard]] expected<typename detail::Typed<T>::Subscriber> subscribe(const Text& pattern, QueueOptions queue = {}) const {
+    [[nodiscard]] expected<typename detail::Typed<T>::Subscriber> subscribe(const Text& pattern, SubscribeOptions options = {}) const {
         using Typed = detail::Typed<T>;
-        const auto raw_queue = detail::raw(queue);
+        const auto raw_options = detail::raw(options);
         rect_subscriber subscriber;
         rect_error error;
-        const auto code = rect_robot_subscribe(raw(), pattern.c_str(), &raw_queue, &subscriber, &error);
+        const auto code = rect_robot_subscribe(raw(), pattern.c_str(), &raw_options, &subscriber, &error);
         return detail::value_or_error<typename Typed::Subscriber>(code, error,
                                                                   [&] { return Typed::subscriber(subscriber.id, raw()); });
     }
@@ -241,14 +242,14 @@ public:
     /// Code::topic or Code::name if the pattern is invalid.
     template <class T = void, class F,
               class = std::enable_if_t<std::is_invocable_v<std::decay_t<F>&, const typename detail::Typed<T>::MessageView&>>>
-    [[nodiscard]] expected<Subscription> subscribe(const Text& pattern, F&& function, QueueOptions queue = {}) const {
-        const auto raw_queue = detail::raw(queue);
+    [[nodiscard]] expected<Subscription> subscribe(const Text& pattern, F&& function, SubscribeOptions options = {}) const {
+        const auto raw_options = detail::raw(options);
         auto on_message = [function = std::decay_t<F>(std::forward<F>(function)), robot = raw()](const MessageView& message) mutable {
             function(detail::Typed<T>::view(message, robot));
         };
         return with_callback(std::move(on_message), [&](auto& callback, rect_subscription* subscription, rect_error* error) {
             using C = std::decay_t<decltype(callback)>;
-            return rect_robot_on_message(raw(), pattern.c_str(), &raw_queue, C::template call<rect_message, MessageView>,
+            return rect_robot_on_message(raw(), pattern.c_str(), &raw_options, C::template call<rect_message, MessageView>,
                                          callback.context(), C::release, subscription, error);
         });
     }
@@ -740,8 +741,9 @@ public:
             if (id.c_str() == nullptr) {
                 return expected<void>(detail::failed(Code::argument, "the argument id contains a zero byte"));
             }
+            const rect_start_options raw_options{detail::or_null(options.id), options.feedback_per_s};
             rect_error error;
-            const auto code = rect_robot_start(raw(), robot.c_str(), action.c_str(), &payload, detail::or_null(options.id),
+            const auto code = rect_robot_start(raw(), robot.c_str(), action.c_str(), &payload, &raw_options,
                                                detail::ms(options.timeout), &run, &error);
             return detail::ok_or_error(code, error);
         });

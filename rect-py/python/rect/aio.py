@@ -195,6 +195,8 @@ class Robot:
         callback: None = None,
         capacity: int = DEFAULT_CAPACITY,
         when_full: WhenFull = "drop_oldest",
+        max_hz: float | None = None,
+        on_change: bool = False,
     ) -> Subscriber[T]: ...
     @overload
     def subscribe(
@@ -205,6 +207,8 @@ class Robot:
         callback: Callable[[Message[T]], object],
         capacity: int = DEFAULT_CAPACITY,
         when_full: WhenFull = "drop_oldest",
+        max_hz: float | None = None,
+        on_change: bool = False,
     ) -> Subscription[Message[T]]: ...
     @overload
     def subscribe(
@@ -215,6 +219,8 @@ class Robot:
         callback: None = None,
         capacity: int = DEFAULT_CAPACITY,
         when_full: WhenFull = "drop_oldest",
+        max_hz: float | None = None,
+        on_change: bool = False,
     ) -> Subscriber[Any]: ...
     @overload
     def subscribe(
@@ -225,6 +231,8 @@ class Robot:
         callback: Callable[[Message[Any]], object],
         capacity: int = DEFAULT_CAPACITY,
         when_full: WhenFull = "drop_oldest",
+        max_hz: float | None = None,
+        on_change: bool = False,
     ) -> Subscription[Message[Any]]: ...
     def subscribe(
         self,
@@ -234,10 +242,15 @@ class Robot:
         callback: Callable[[Message[Any]], object] | None = None,
         capacity: int = DEFAULT_CAPACITY,
         when_full: WhenFull = "drop_oldest",
+        max_hz: float | None = None,
+        on_change: bool = False,
     ) -> Subscriber[Any] | Subscription[Message[Any]]:
         """Subscribes to a pattern, for `async for` or a callback; see `rect.Robot.subscribe`."""
         callable_or_none(callback)
-        subscriber = Subscriber(self._robot.subscribe(pattern, type, capacity=capacity, when_full=when_full))
+        subscribed = self._robot.subscribe(
+            pattern, type, capacity=capacity, when_full=when_full, max_hz=max_hz, on_change=on_change
+        )
+        subscriber = Subscriber(subscribed)
         return subscriber if callback is None else Subscription(self, subscriber, callback, pattern)
 
     @overload

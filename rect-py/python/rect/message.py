@@ -11,10 +11,13 @@ from rect import _rect
 from rect.choices import Urgency
 from rect.errors import PayloadError
 from rect.typed import Converter, T
-from rect.values import Payload
+from rect.values import Payload, by_slots
 
-#: In place of a value that nobody has asked for.
-UNREAD: Any = object()
+class _Unread:
+    """In place of a value that nobody has asked for. A class, because `pickle` and `copy` keep its identity."""
+
+
+UNREAD: Any = _Unread
 _1970 = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
@@ -128,6 +131,12 @@ class Message(Generic[T]):
         return self._metadata.missed
 
     @property
+    def skipped(self) -> int:
+        """Number of messages of the same source, directly before this one, that were left out because the subscription
+        asks for fewer (`max_hz`, `on_change`)."""
+        return self._metadata.skipped
+
+    @property
     def late(self) -> bool:
         """Whether a message of the same source with a higher sequence number arrived before this one."""
         return self._metadata.late
@@ -154,6 +163,9 @@ class Message(Generic[T]):
         """Whether the message is older than the sender's `expires_after` by now. It was not when it was delivered."""
         return self._metadata.is_expired
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return by_slots(self)
+
     def __repr__(self) -> str:
         return f"Message({self.sender}/{self.topic}, {self._shown()})"
 
@@ -166,7 +178,10 @@ class Message(Generic[T]):
 
     def _repr_html_(self) -> str:
         head = f"<b>{html.escape(self.sender)}</b>/{html.escape(self.topic)}"
-        picture = getattr(self.value, "_repr_png_", None) if self.problem is None else None
+        try:
+            picture = getattr(self.value, "_repr_png_", None)
+        except PayloadError:
+            picture = None
         if picture is None:
             return f"{head}: <code>{html.escape(self._shown())}</code>"
         import base64

@@ -26,6 +26,7 @@ def open_session(options: Options) -> Session:
         if session.is_direct:
             presence = _rect.direct_presence(session.key_space, str(session.zenoh.zid()))
             Executor(session, presence).start("rect presence")
+            Executor(session, _rect.throttle(session.key_space), session.warn).start("rect throttle")
         else:
             if not options.allow_name_mismatch:
                 _rect.check_router(session.key_space, options.endpoint, tokens_of_router(session.zenoh))

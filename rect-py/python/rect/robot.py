@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Union, overload
+from typing import Any, NoReturn, Union, overload
 
 import zenoh
 
@@ -111,6 +111,9 @@ class Robot:
     def __init__(self, options: Options) -> None:
         self._session = open_session(options)
 
+    def __reduce__(self) -> NoReturn:
+        raise TypeError("a Robot belongs to the process that has connected it: call rect.connect in the other process")
+
     @property
     def name(self) -> str:
         """Name of this robot."""
@@ -201,6 +204,8 @@ class Robot:
         callback: None = None,
         capacity: int = DEFAULT_CAPACITY,
         when_full: WhenFull = "drop_oldest",
+        max_hz: float | None = None,
+        on_change: bool = False,
     ) -> Subscriber[T]: ...
     @overload
     def subscribe(
@@ -211,6 +216,8 @@ class Robot:
         callback: Callable[[Message[T]], object],
         capacity: int = DEFAULT_CAPACITY,
         when_full: WhenFull = "drop_oldest",
+        max_hz: float | None = None,
+        on_change: bool = False,
     ) -> Subscription[Message[T]]: ...
     @overload
     def subscribe(
@@ -221,6 +228,8 @@ class Robot:
         callback: None = None,
         capacity: int = DEFAULT_CAPACITY,
         when_full: WhenFull = "drop_oldest",
+        max_hz: float | None = None,
+        on_change: bool = False,
     ) -> Subscriber[Any]: ...
     @overload
     def subscribe(
@@ -231,6 +240,8 @@ class Robot:
         callback: Callable[[Message[Any]], object],
         capacity: int = DEFAULT_CAPACITY,
         when_full: WhenFull = "drop_oldest",
+        max_hz: float | None = None,
+        on_change: bool = False,
     ) -> Subscription[Message[Any]]: ...
     def subscribe(
         self,
@@ -240,6 +251,8 @@ class Robot:
         callback: Callable[[Message[Any]], object] | None = None,
         capacity: int = DEFAULT_CAPACITY,
         when_full: WhenFull = "drop_oldest",
+        max_hz: float | None = None,
+        on_change: bool = False,
     ) -> Subscriber[Any] | Subscription[Message[Any]]:
         """Subscribes to the messages that match a pattern and are published to all robots, or sent to this one.
 
@@ -252,6 +265,11 @@ class Robot:
         - `capacity`: number of messages that may wait for the program, at least 1. Default: 256.
         - `when_full`: `drop_oldest` (default) drops the message that has waited longest, `drop_newest` drops the
           message that arrived last, and `block` makes the sender wait.
+        - `max_hz`: how many messages of each topic are wanted a second at most, 0.01 to 1000. Default: all. The newest
+          one wins. The router of the robot that publishes leaves out the others, so that they cost nothing on the air;
+          they count as `Message.skipped`, and not as missed. Messages that are sent to this robot alone, and retained
+          ones, arrive as they are sent.
+        - `on_change`: whether only messages are wanted whose value differs from the last one. Default: no.
 
         Raises `InvalidTopicError`, `InvalidNameError`, `OptionError`, `Closed`, and `TypeError` if values cannot be
         converted to the type. Example:
@@ -266,7 +284,7 @@ class Robot:
         callable_or_none(callback)
         self._session.check()
         converter = converter_of(type)
-        inbound = _rect.Inbound(self._session.key_space, text("pattern", pattern))
+        inbound = _rect.Inbound(self._session.key_space, text("pattern", pattern), max_hz, on_change)
         advice.on_pattern(self._session, pattern)
         subscriber = Subscriber(self._session, inbound, pattern, converter, capacity, when_full)
         return subscriber if callback is None else Subscription(subscriber, callback, pattern)
@@ -1254,7 +1272,7 @@ class Robot:
         """
         self._session.check()
         self._session.decoder.serve(dictionary)
-        return _rect.Codec.with_dictionary(dictionary)
+        return _rect.Codec(dictionary)
 
     def peers(self) -> list[str]:
         """Returns the names of the other robots of the fleet that are reachable now, in alphabetical order."""

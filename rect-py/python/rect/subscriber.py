@@ -83,6 +83,10 @@ class Subscriber(Generic[T]):
             except zenoh.ZError as error:
                 self._declared.end()
                 raise zenoh_error("cannot declare the subscriber", error) from error
+        token = inbound.token()
+        if token is not None:
+            with session.calls:
+                self._declared.add(session.zenoh.liveliness().declare_token(token))
         # The subscriptions precede it, so that no change is missed between them.
         self._declared.add(session.state.receive(callbacks[0]))
         self._declared.leave_with(self)

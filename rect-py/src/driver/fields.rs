@@ -47,12 +47,14 @@ pub fn sample(
     payload: Payload,
     attachment: Option<PyBackedBytes>,
     is_deleted: bool,
+    priority: u8,
 ) -> Sample {
     Sample {
         key,
         payload,
         attachment: attachment.map(Bytes::from_owner),
         is_deleted,
+        priority,
     }
 }
 

@@ -49,12 +49,12 @@ impl Report {
         };
         let kind = sample.getattr(intern!(py, "kind"))?;
         let is_deleted = is_delete(&kind)?;
+        let priority = priority_of(sample)?;
         let bytes = bytes.extract()?;
-        let driver = self.driver.get();
-        self.react(
-            py,
-            driver.on_sample(py, self.id, key, bytes, &encoding, attachment, is_deleted)?,
-        )
+        let reaction = self.driver.get().on_sample(
+            py, self.id, key, bytes, &encoding, attachment, is_deleted, priority,
+        )?;
+        self.react(py, reaction)
     }
 
     /// Reports a reply.
@@ -155,6 +155,14 @@ fn text(object: &Bound<'_, PyAny>, name: &Bound<'_, pyo3::types::PyString>) -> P
 /// Returns whether a `SampleKind` is `DELETE`.
 pub fn is_delete(kind: &Bound<'_, PyAny>) -> PyResult<bool> {
     kind.eq(kind.get_type().getattr(intern!(kind.py(), "DELETE"))?)
+}
+
+/// Returns the number of the priority of a sample.
+pub fn priority_of(sample: &Bound<'_, PyAny>) -> PyResult<u8> {
+    let priority = sample.getattr(intern!(sample.py(), "priority"))?;
+    priority
+        .call_method0(intern!(sample.py(), "__int__"))?
+        .extract()
 }
 
 /// Returns the bytes of a `ZBytes`.

@@ -367,6 +367,7 @@ mod tests {
             key: String::new(),
             payload: Payload::new("{}", Encoding::JSON),
             is_deleted: false,
+            priority: Sample::PRIORITY,
             attachment: None,
         });
         let id = REGISTRATION;

@@ -183,6 +183,7 @@ mod tests {
             payload: Payload::new("", Encoding::BYTES),
             attachment: None,
             is_deleted,
+            priority: Sample::PRIORITY,
         }
     }
 

@@ -70,6 +70,13 @@ pub struct Sample {
     pub attachment: Option<Bytes>,
     /// Whether the key was deleted, for example by the end of a liveliness token.
     pub is_deleted: bool,
+    /// Zenoh's priority, 1 to 7.
+    pub priority: u8,
+}
+
+impl Sample {
+    /// Zenoh's default priority, `Data`.
+    pub const PRIORITY: u8 = 5;
 }
 
 /// A driver's reaction to an event.

@@ -38,6 +38,7 @@ fn sample(key: &str, payload: Payload) -> Sample {
         payload,
         attachment: None,
         is_deleted: false,
+        priority: Sample::PRIORITY,
     }
 }
 

@@ -75,6 +75,11 @@ impl KeySpace {
         format!("{}/{}/{topic}", self.fleet, self.robot)
     }
 
+    /// Returns the key expression of messages that this robot publishes on topics with wildcards.
+    pub fn publication_of(&self, topics: &str) -> String {
+        format!("{}/{}/{topics}", self.fleet, self.robot)
+    }
+
     /// Returns the key of messages that this robot sends to `robot` alone.
     pub fn message(&self, robot: &Name, topic: &Topic) -> String {
         format!("{}/{}/{TO}/{robot}/{topic}", self.fleet, self.robot)
@@ -87,7 +92,7 @@ impl KeySpace {
 
     /// Returns the key expression of all services of this robot.
     pub fn services(&self) -> String {
-        format!("{}/{}/**", self.fleet, self.robot)
+        self.publication_of("**")
     }
 
     /// Returns an internal key, `@rect/<rest>`, of `robot` or of all robots (`None`).

@@ -175,6 +175,7 @@ mod tests {
             key: key.to_owned(),
             payload: Payload::new(payload.to_owned(), Encoding::JSON),
             is_deleted: false,
+            priority: Sample::PRIORITY,
             attachment: None,
         }
     }

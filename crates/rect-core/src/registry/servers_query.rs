@@ -222,6 +222,7 @@ mod tests {
                 key,
                 payload: Payload::new(text, Encoding::JSON),
                 is_deleted: false,
+                priority: Sample::PRIORITY,
                 attachment: None,
             };
             let mut reply = |sample| {

@@ -52,6 +52,7 @@ fn sample(key: String, payload: Payload) -> Sample {
         payload,
         attachment: None,
         is_deleted: false,
+        priority: Sample::PRIORITY,
     }
 }
 

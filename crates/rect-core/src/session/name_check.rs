@@ -278,6 +278,7 @@ mod tests {
                             payload,
                             attachment,
                             is_deleted,
+                            priority: Sample::PRIORITY,
                         });
                         let _ = check.on_event(now, Event::Reply { id, reply });
                     }

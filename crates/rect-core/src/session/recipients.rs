@@ -274,6 +274,7 @@ mod tests {
                 payload: Payload::new("", Encoding::BYTES),
                 attachment: None,
                 is_deleted: !exists,
+                priority: Sample::PRIORITY,
             };
             let id = TOKENS;
             let _ = self.core.on_event(self.now, Event::Sample { id, sample });

@@ -390,6 +390,7 @@ impl World {
                             payload: Payload::new("", Encoding::BYTES),
                             attachment: None,
                             is_deleted,
+                            priority: Sample::PRIORITY,
                         },
                     }));
                     *before = now;
@@ -570,6 +571,7 @@ impl World {
                     payload: payload.unwrap_or_else(|| Payload::new("", Encoding::BYTES)),
                     attachment: Some(attachment.into()),
                     is_deleted,
+                    priority: Sample::PRIORITY,
                 };
                 for other in 0..ROBOTS {
                     let run = self.routers[other].as_ref().map(|router| router.run);
@@ -617,6 +619,7 @@ impl World {
                             payload,
                             attachment: None,
                             is_deleted: false,
+                            priority: Sample::PRIORITY,
                         }))
                     }
                     Answer::Error(payload) => Some(Err(payload)),
@@ -1188,6 +1191,7 @@ fn copying() -> (StateKeeper, Id, Instant) {
         payload: Payload::new("", Encoding::BYTES),
         attachment: None,
         is_deleted: false,
+        priority: Sample::PRIORITY,
     };
     let id = tokens.expect("it observes others");
     let _ = keeper.on_event(now, Event::Sample { id, sample });
@@ -1316,6 +1320,7 @@ fn program_with_a_new_subscription_does_not_give_a_forgotten_value_to_a_restarte
         payload: super::page::write(&answer),
         attachment: None,
         is_deleted: false,
+        priority: Sample::PRIORITY,
     };
     let reply = Ok(sample);
     let _ = program.on_event(later, Event::Reply { id, reply });
@@ -1338,6 +1343,7 @@ fn answer(keeper: &mut StateKeeper, id: Id, now: Instant, payload: Payload) {
         payload,
         attachment: None,
         is_deleted: false,
+        priority: Sample::PRIORITY,
     };
     let reply = Ok(sample);
     let _ = keeper.on_event(now, Event::Reply { id, reply });

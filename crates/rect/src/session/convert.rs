@@ -69,6 +69,7 @@ pub(super) fn sample(sample: &zenoh::sample::Sample) -> Sample {
         payload: payload(sample.payload(), sample.encoding()),
         attachment: sample.attachment().map(owned),
         is_deleted: sample.kind() == SampleKind::Delete,
+        priority: sample.priority() as u8,
     }
 }
 

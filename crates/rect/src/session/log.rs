@@ -73,7 +73,7 @@ impl Robot {
         if let Some(Some(log)) = self.inner.log.get() {
             log.flush().await;
         }
-        if let Some((_, kept)) = &self.inner.kept {
+        if let Some((_, kept, _)) = &self.inner.kept {
             kept.flush().await;
         }
     }

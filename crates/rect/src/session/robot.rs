@@ -34,9 +34,11 @@ use super::{
     publication::{Publication, Put},
     querier::Querier,
     recipients::Recipients,
+    results::KeptResults,
     router_links::RouterLinks,
     shared::NoItems,
     state::{KeptState, Retention, State},
+    throttle::RunningThrottle,
     urgency_sessions::UrgencySessions,
     warnings::{WarningSink, Warnings},
 };
@@ -79,12 +81,14 @@ pub(super) struct Inner {
     /// The requests that this program carries out at most once.
     pub(super) once: Once<Query>,
     recipients: OnceCell<Recipients>,
+    /// The large results of this program's actions, since the first one.
+    pub(super) results: OnceLock<KeptResults>,
     /// The lines that this program logs, since the first one.
     pub(super) log: OnceLock<Option<ProgramLog>>,
     /// The retained messages of this program.
     pub(super) state: Arc<State>,
     /// The state and the log of the robot; `None` if its router keeps them.
-    pub(super) kept: Option<(KeptState, KeptLog)>,
+    pub(super) kept: Option<(KeptState, KeptLog, RunningThrottle)>,
     /// The part of this program in the stop of the fleet, which is above this module.
     pub(super) stop: tokio::sync::Mutex<Weak<dyn Any + Send + Sync>>,
     /// The presence of this program.
@@ -119,7 +123,9 @@ impl Robot {
         let instance: u32 = rand::random();
         let keep = || {
             let state = KeptState::of_program(&session, place.clone())?;
-            Ok::<_, Error>((state, KeptLog::start(&session, place.clone())?))
+            let log = KeptLog::start(&session, place.clone())?;
+            let throttle = RunningThrottle::start(&session, place.clone())?;
+            Ok::<_, Error>((state, log, throttle))
         };
         let kept = direct.then(keep).transpose()?;
         let state = State::new(&session, &place, instance);
@@ -145,6 +151,7 @@ impl Robot {
             request_ids,
             once,
             recipients: OnceCell::new(),
+            results: OnceLock::new(),
             log: OnceLock::new(),
             state,
             kept,

@@ -17,6 +17,7 @@ use rect_core::{
         gaps::SenderCounts,
         payload::{FromPayload, Payload, PayloadError},
         queue::{Queue, WhenFull, DEFAULT_CAPACITY},
+        throttled::Wish,
         Delivery, Inbound, Message, Undelivered,
     },
     name::{key::Selected, topic::Pattern, Name},
@@ -25,6 +26,7 @@ use rect_core::{
 use tokio::task::JoinHandle;
 use zenoh::{
     bytes::ZBytes,
+    liveliness::LivelinessToken,
     sample::{Sample, SampleKind},
     Wait,
 };
@@ -65,6 +67,33 @@ impl Default for QueueOptions {
     }
 }
 
+/// Settings of a subscription. [`QueueOptions`] become such settings by themselves.
+///
+/// ```
+/// use rect::SubscribeOptions;
+/// let twice_a_second = SubscribeOptions { max_hz: Some(2.0), ..SubscribeOptions::default() };
+/// ```
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SubscribeOptions {
+    /// The settings of the receive queue.
+    pub queue: QueueOptions,
+    /// How many messages of each topic are wanted a second at most, 0.01 to 1000; default: all. The newest one wins. The router of the
+    /// robot that publishes leaves out the others, so that they cost nothing on the air; they count as [`Message::skipped`], and not
+    /// as missed. Messages that are sent to this robot alone, and retained ones, arrive as they are sent.
+    pub max_hz: Option<f64>,
+    /// Whether only messages are wanted whose value differs from the last one; default: no.
+    pub on_change: bool,
+}
+
+impl From<QueueOptions> for SubscribeOptions {
+    fn from(queue: QueueOptions) -> Self {
+        Self {
+            queue,
+            ..Self::default()
+        }
+    }
+}
+
 /// Receives the messages that match a pattern; created by [`Robot::subscribe`].
 ///
 /// `T` is the type of the values. It also implements [`futures_core::Stream`]. Dropping it ends the subscription.
@@ -73,6 +102,8 @@ pub struct Subscriber<T: FromPayload = Payload> {
     inbound: Arc<Mutex<Inbound>>,
     next: NextItem<Message<T::Value>>,
     _declared: Vec<zenoh::pubsub::Subscriber<()>>,
+    /// The wish of a throttled subscription.
+    _wish: Option<LivelinessToken>,
     /// The retained messages.
     _reception: Reception,
 }
@@ -123,32 +154,47 @@ impl Robot {
         &self,
         pattern: impl TryInto<Pattern, Error: Into<Error>>,
     ) -> Result<Subscriber<T>, Error> {
-        self.subscribe_with(pattern, QueueOptions::default()).await
+        self.subscribe_with(pattern, SubscribeOptions::default()).await
     }
 
-    /// Subscribes to the messages that match `pattern`, with other settings of the receive queue.
+    /// Subscribes to the messages that match `pattern`, with other settings: of the receive queue, or for fewer messages.
+    ///
+    /// ```no_run
+    /// # async fn subscribe(robot: rect::Robot) -> Result<(), rect::Error> {
+    /// let twice_a_second = rect::SubscribeOptions { max_hz: Some(2.0), ..Default::default() };
+    /// let poses = robot.subscribe_with::<(f64, f64)>("wombat-2/pose", twice_a_second).await?;
+    /// # Ok(()) }
+    /// ```
     ///
     /// # Errors
-    /// Returns the same errors as [`subscribe`](Self::subscribe).
+    /// Returns the same errors as [`subscribe`](Self::subscribe), and [`Error::Option`] if a rate is out of range.
     ///
     /// # Cancel safety
     /// The call is complete when its future is polled for the first time, which `.await` does.
     pub async fn subscribe_with<T: FromPayload>(
         &self,
         pattern: impl TryInto<Pattern, Error: Into<Error>>,
-        queue: QueueOptions,
+        options: impl Into<SubscribeOptions>,
     ) -> Result<Subscriber<T>, Error> {
-        self.subscribed(&valid(pattern)?, queue)
+        self.subscribed(&valid(pattern)?, options.into())
     }
 
     fn subscribed<T: FromPayload>(
         &self,
         pattern: &Pattern,
-        queue: QueueOptions,
+        options: SubscribeOptions,
     ) -> Result<Subscriber<T>, Error> {
+        let wish = Wish::new(options.max_hz, options.on_change);
+        let wish = wish.map_err(|error| Error::Option {
+            option: "max_hz",
+            value: error.0.to_string(),
+            source: error.into(),
+        })?;
         self.inner.warnings.on_topic(pattern.topic());
         self.check_name(Used::Pattern(pattern.clone()));
-        self.select(self.inner.place.subscriptions(pattern).into(), queue)
+        let place = self.inner.place.clone();
+        let inbound = Inbound::of_pattern(place, pattern, wish, Instant::now());
+        self.inbound(inbound, options.queue)
     }
 
     /// Receives each selected message once.
@@ -157,10 +203,19 @@ impl Robot {
         selected: Vec<Selected>,
         queue: QueueOptions,
     ) -> Result<Subscriber<T>, Error> {
-        let place = self.inner.place.clone();
+        let inbound = Inbound::new(self.inner.place.clone(), selected, Instant::now());
+        self.inbound(inbound, queue)
+    }
+
+    fn inbound<T: FromPayload>(
+        &self,
+        mut inbound: Inbound,
+        queue: QueueOptions,
+    ) -> Result<Subscriber<T>, Error> {
         let queue = ReceiveQueue::new(Queue::new(queue.capacity, queue.when_full));
-        let mut inbound = Inbound::new(place, selected.clone(), Instant::now());
         inbound.follow(self.inner.state.following()?);
+        let (receiving, keys) = (inbound.selected().to_vec(), inbound.keys());
+        let token = inbound.token().map(str::to_owned);
         let inbound = Arc::new(Mutex::new(inbound));
         let receiver = Arc::new(Receiver {
             inbound: inbound.clone(),
@@ -168,8 +223,7 @@ impl Robot {
             counting: self.inner.counting.clone(),
             links: self.inner.router_links.as_ref().map(RouterLinks::table),
         });
-        let receiving = selected.clone();
-        let declare = |(subscription, Selected { key, .. })| {
+        let declare = |(subscription, key): (usize, String)| {
             let (writer, receiver) = (QueueWriter::new(&queue), receiver.clone());
             let on_sample = move |sample: Sample| {
                 let counting = &receiver.counting;
@@ -191,9 +245,15 @@ impl Robot {
                 .wait()
                 .map_err(Error::zenoh("cannot declare the subscriber"))
         };
-        let declared = selected.into_iter().enumerate().map(declare);
+        let declared = keys.into_iter().enumerate().map(declare);
+        let declared = declared.collect::<Result<_, _>>()?;
+        let declare = |key| {
+            let token = self.inner.session.liveliness().declare_token(key).wait();
+            token.map_err(Error::zenoh("cannot declare the subscriber"))
+        };
         Ok(Subscriber {
-            _declared: declared.collect::<Result<_, _>>()?,
+            _declared: declared,
+            _wish: token.map(declare).transpose()?,
             // The subscriptions precede it, so that no change is missed between them.
             _reception: self.inner.state.receive(&receiving, receiver)?,
             reading: Reading {
@@ -261,7 +321,7 @@ impl Robot {
     ) -> Result<Message<T::Value>, Error> {
         let pattern = valid(pattern)?;
         let expected = format!("message {pattern}");
-        let subscriber = self.subscribed::<T>(&pattern, QueueOptions::default())?;
+        let subscriber = self.subscribed::<T>(&pattern, SubscribeOptions::default())?;
         match tokio::time::timeout(timeout, subscriber.next()).await {
             Ok(message) => message.ok_or(Error::Closed),
             Err(_) => Err(Error::TimedOut { expected, timeout }),

@@ -17,6 +17,11 @@ const REPLAYED: u8 = 16;
 /// The maximum length of a number: 63 bits.
 const NUMBER_BYTES: usize = 9;
 
+/// Returns whether an attachment is that of a retained message.
+pub fn is_live(attachment: &[u8]) -> bool {
+    attachment.first() == Some(&MARK)
+}
+
 /// The attachment of a retained message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Live {

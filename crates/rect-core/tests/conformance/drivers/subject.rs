@@ -374,5 +374,6 @@ fn sample(key: &Value, payload: &Value, encoding: &Value) -> Sample {
         payload: arguments::payload(payload, encoding),
         attachment: None,
         is_deleted: false,
+        priority: Sample::PRIORITY,
     }
 }

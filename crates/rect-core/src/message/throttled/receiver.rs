@@ -1,0 +1,157 @@
+//! Takes from the streams of a robot what one of its subscribers wants.
+use std::{
+    collections::BTreeMap,
+    time::{Duration, Instant},
+};
+
+use super::{header::Header, Wish};
+use crate::{
+    message::attachment::Attachment,
+    name::{topic::Topic, Name},
+};
+
+/// The maximum number of streams that are remembered.
+const MAX_STREAMS: usize = 1024;
+/// How long a subscriber may receive faster than it asked for after it has received nothing: a link delivers together what was sent apart.
+const LAG: Duration = Duration::from_secs(1);
+
+/// The streams that a subscriber receives.
+#[derive(Debug)]
+pub struct Receiver {
+    wish: Wish,
+    streams: BTreeMap<(Name, Topic), Stream>,
+    /// The number of streams that have begun, modulo 2^16.
+    begun: u16,
+}
+
+/// One topic of one robot.
+#[derive(Debug)]
+struct Stream {
+    /// Identifies the stream among those of its robot.
+    source: u16,
+    /// The number of the last message.
+    number: u32,
+    /// When the next message is wanted.
+    due: Instant,
+    /// Whether a value has differed from the one before it since the last message that was delivered.
+    is_changed: bool,
+    /// Whether the last message was delivered or not wanted.
+    is_settled: bool,
+    /// The publisher and the sequence number of the last message that was delivered.
+    delivered: Option<(u16, u32)>,
+    /// The number of messages that did not arrive since.
+    missed: u32,
+}
+
+/// The place of a message in its stream.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// Identifies the stream among those of its robot.
+    pub source: u16,
+    /// The number of the message there.
+    pub number: u32,
+}
+
+/// A message that the subscriber wants.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Wanted {
+    /// The number of messages that did not arrive since the last one that it wanted.
+    pub missed: u32,
+    /// The number of messages that its publisher has sent since, and that were left out.
+    pub skipped: u32,
+}
+
+impl Receiver {
+    /// Creates the receiver of a subscription.
+    pub fn new(wish: Wish) -> Self {
+        Self {
+            wish,
+            streams: BTreeMap::new(),
+            begun: 0,
+        }
+    }
+
+    /// Returns the place of a message that arrives now.
+    pub fn place(&mut self, sender: &Name, topic: &Topic, header: Header, now: Instant) -> Place {
+        let stream = (sender.clone(), topic.clone());
+        let is_new = header.is_first || !self.streams.contains_key(&stream);
+        if is_new {
+            if self.streams.len() >= MAX_STREAMS {
+                self.streams.pop_first();
+            }
+            self.begun = self.begun.wrapping_add(1);
+            let begun = Stream {
+                source: self.begun,
+                number: header.number.into(),
+                due: now,
+                is_changed: true,
+                is_settled: false,
+                delivered: None,
+                missed: 0,
+            };
+            self.streams.insert(stream, begun);
+            return Place {
+                source: self.begun,
+                number: header.number.into(),
+            };
+        }
+        let Some(stream) = self.streams.get_mut(&stream) else {
+            unreachable!("it is in the map");
+        };
+        let number = stream
+            .number
+            .wrapping_add_signed(header.after(stream.number));
+        if header.after(stream.number) > 0 {
+            stream.number = number;
+        }
+        Place {
+            source: stream.source,
+            number,
+        }
+    }
+
+    /// Decides whether the subscriber wants a message, which has a [`place`](Self::place). `missed` messages of its stream are missing
+    /// before it.
+    pub fn on_message(
+        &mut self,
+        (sender, topic): (&Name, &Topic),
+        (header, attachment): (Header, Option<Attachment>),
+        missed: u32,
+        now: Instant,
+    ) -> Option<Wanted> {
+        let stream = (sender.clone(), topic.clone());
+        let stream = self.streams.get_mut(&stream)?;
+        stream.missed = stream.missed.saturating_add(missed);
+        if header.repeats && stream.is_settled && missed == 0 {
+            return None;
+        }
+        stream.is_settled = true;
+        // A message that is missing may have had another value.
+        stream.is_changed |= !header.is_unchanged || missed > 0;
+        if self.wish.is_on_change() && !stream.is_changed {
+            return None;
+        }
+        let interval = self.wish.interval();
+        // The intervals of a stream vary.
+        if now + interval / 8 < stream.due {
+            stream.is_settled = false;
+            return None;
+        }
+        let earliest = now.checked_sub(LAG).unwrap_or(now);
+        stream.due = (stream.due + interval).max(earliest);
+        stream.is_changed = false;
+        let missed = std::mem::take(&mut stream.missed);
+        let number = attachment.map(|sent| (sent.source, sent.sequence));
+        let last = std::mem::replace(&mut stream.delivered, number);
+        let skipped = match (last, number) {
+            (Some((before, last)), Some((source, number))) if before == source => {
+                let between = number.wrapping_sub(last).wrapping_sub(1);
+                // A number before the last one is of a message that was overtaken.
+                let between = (between <= u32::MAX / 2).then_some(between);
+                between.unwrap_or(0).saturating_sub(missed)
+            }
+            _ => 0,
+        };
+        Some(Wanted { missed, skipped })
+    }
+}
