@@ -7,7 +7,11 @@ mod listener_check;
 mod login;
 mod settings;
 mod slow_link_advice;
+mod syntax;
 
+use std::{fs, path::Path};
+
+use rect_core::text::humanize;
 use serde_json::Value;
 use validated_struct::InsertionError;
 use zenoh::{config::WhatAmI, Config};
@@ -18,7 +22,7 @@ use zenoh_link_placeholder::PLACEHOLDER_LOCATOR_PREFIX;
 use zenoh_util::LibSearchDirs;
 
 pub(crate) use self::error::ConfigError;
-pub use self::listener_check::{listener_problems, MAX_SOCKET_PATH};
+pub use self::listener_check::{listener_problems, missing_adapters, MAX_SOCKET_PATH};
 pub use self::login::{exposed_login_file, read_login_file, ExposedLogins};
 use self::login::{log_in_as, logins};
 pub use self::settings::{SessionSettings, Settings};
@@ -250,16 +254,42 @@ fn base(args: &Args, settings: &[Setting]) -> Result<Config, ConfigError> {
             }
             Config::from_json5(whole.value).map_err(|source| ConfigError::Whole { source })?
         }
-        (None, Some(path)) => Config::from_file(path).map_err(|source| ConfigError::File {
-            path: path.into(),
-            source,
-        })?,
+        (None, Some(path)) => read(Path::new(path))?,
         (None, None) => Config::default(),
     };
     if config.mode().is_none() {
         set(config.set_mode(Some(WhatAmI::Router)), "mode", "router")?;
     }
     Ok(config)
+}
+
+/// Reads a configuration file.
+///
+/// # Errors
+/// [`ConfigError::Syntax`] or [`ConfigError::File`].
+fn read(path: &Path) -> Result<Config, ConfigError> {
+    let syntax = |reason| ConfigError::Syntax {
+        path: path.to_owned(),
+        reason,
+    };
+    let is_json =
+        (path.extension()).is_some_and(|extension| extension == "json5" || extension == "json");
+    // Zenoh reads the file itself, and reports one that cannot be read.
+    let text = Some(path).filter(|path| is_json && path.is_file());
+    let text = text.and_then(|path| fs::read_to_string(path).ok());
+    let text = text.filter(|text| !text.trim().is_empty());
+    if let Some(reason) = text.as_deref().and_then(syntax::problem) {
+        return Err(syntax(reason));
+    }
+    Config::from_file(path).map_err(|source| {
+        match syntax::value_problem(&humanize::on_one_line(&source.to_string())) {
+            Some(reason) => syntax(reason),
+            None => ConfigError::File {
+                path: path.to_owned(),
+                source,
+            },
+        }
+    })
 }
 
 fn set_identity(config: &mut Config, args: &Args) -> Result<(), ConfigError> {

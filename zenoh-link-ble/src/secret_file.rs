@@ -25,20 +25,23 @@ pub enum SecretError {
         path: String,
     },
     /// The secret is too short. Generate a longer one.
-    #[error("the secret in the first line of {path} has {length} bytes, but needs at least {MIN_SECRET} that are hard to guess: `openssl rand -base64 18` generates some")]
+    #[error("the secret in the first line of {path} has {length} bytes{}, but needs at least {MIN_SECRET} that are hard to guess: `openssl rand -base64 18` generates some", if *.has_user { " after the user's name" } else { "" })]
     TooShort {
         /// Path of the file.
         path: String,
-        /// Size of the secret, in bytes.
+        /// Size of the secret, in bytes, without the name of the user.
         length: usize,
+        /// Whether the line is that of a login, `user:password`.
+        has_user: bool,
     },
 }
 
-/// Reads the secret from the first line of a file that is not blank. A router's file of logins can serve as the secret.
+/// Reads the secret from the first line of a file that is not blank. A router's file of logins can serve as the secret: the whole line
+/// is the secret, but the name of the user in it does not make it harder to guess.
 ///
 /// # Errors
 /// Fails if the path is not that of a readable regular file, if the file is too large, or if the secret is shorter than
-/// [`MIN_SECRET`].
+/// [`MIN_SECRET`], without the name of the user.
 pub fn read(path: &Path) -> Result<Secret, SecretError> {
     let path_text = || path.display().to_string();
     let unreadable = |source| SecretError::Unreadable {
@@ -55,11 +58,23 @@ pub fn read(path: &Path) -> Result<Secret, SecretError> {
     if text.len() as u64 > MAX_FILE {
         return Err(SecretError::NoSecretFile { path: path_text() });
     }
+    of_text(path, &text)
+}
+
+/// Returns the secret of the text of the file at `path`.
+///
+/// # Errors
+/// [`SecretError::TooShort`].
+pub fn of_text(path: &Path, text: &[u8]) -> Result<Secret, SecretError> {
     let mut lines = text.split(|byte| *byte == b'\n').map(<[u8]>::trim_ascii);
     let line = lines.find(|line| !line.is_empty()).unwrap_or_default();
-    Secret::new(line).ok_or_else(|| SecretError::TooShort {
-        path: path_text(),
-        length: line.len(),
+    let password = line.iter().position(|byte| *byte == b':');
+    let hard_to_guess = password.map_or(line, |colon| &line[colon + 1..]);
+    let secret = Secret::new(line).filter(|_| hard_to_guess.len() >= MIN_SECRET);
+    secret.ok_or_else(|| SecretError::TooShort {
+        path: path.display().to_string(),
+        length: hard_to_guess.len(),
+        has_user: password.is_some(),
     })
 }
 
@@ -101,6 +116,17 @@ mod tests {
             fifteen.contains("has 15 bytes, but needs at least 16"),
             "{fifteen}"
         );
+        // The name of the user is public.
+        for login in ["fleet:1234", "a long name of a user:fifteen bytes.."] {
+            let login = read_text(login.as_bytes()).expect_err("too short");
+            assert!(
+                login
+                    .to_string()
+                    .contains("bytes after the user's name, but needs"),
+                "{login}"
+            );
+        }
+        assert!(read_text(b"u:sixteen bytes...").is_ok());
         let empty = read_text(b"\n \n").expect_err("empty").to_string();
         assert!(empty.contains("has 0 bytes"), "{empty}");
         let large = read_text(&vec![b'x'; 70_000])

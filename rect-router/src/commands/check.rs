@@ -34,14 +34,21 @@ pub fn run(args: &CheckArgs) -> Result<(), Failure> {
     if !problems.is_empty() {
         return Err(format!("{}: {}", args.config, problems.join("; ")).into());
     }
-    match config::exposed_login_file(&config) {
-        // The router starts in spite of this.
-        Some(exposed) => {
-            let remedy = exposed.remedy();
-            rect_terminal::outln!("{}: warning: {exposed}; run: {remedy}", args.config);
-        }
-        None => rect_terminal::outln!("{}: no problems found", args.config),
+    // The router starts in spite of these.
+    let exposed = config::exposed_login_file(&config);
+    let exposed = exposed.map(|exposed| format!("{exposed}; run: {}", exposed.remedy()));
+    let missing = config::missing_adapters(&config, Path::new("/"));
+    let missing = missing.iter().map(ToString::to_string);
+    let warnings: Vec<_> = exposed.into_iter().chain(missing).collect();
+    for warning in &warnings {
+        rect_terminal::outln!("{}: warning: {warning}", args.config);
     }
+    let otherwise = if warnings.is_empty() {
+        ""
+    } else {
+        " otherwise"
+    };
+    rect_terminal::outln!("{}: no problems found{otherwise}", args.config);
     Ok(())
 }
 

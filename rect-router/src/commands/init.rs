@@ -8,6 +8,7 @@ use std::{
 };
 
 use rect_core::{name::Name, session::login};
+use zenoh_link_ble::secret_file;
 
 use super::{
     cloud,
@@ -52,8 +53,16 @@ pub fn run(args: &InitArgs) -> Result<(), Failure> {
     }
     cloud::check(&args.fleets)?;
     let users = match &args.users {
-        Some(path) => fs::read_to_string(path)
-            .map_err(|error| format!("cannot read the login file {}: {error}", path.display()))?,
+        Some(path) => {
+            let text = fs::read_to_string(path).map_err(|error| {
+                format!("cannot read the login file {}: {error}", path.display())
+            })?;
+            // With a shorter secret, the router would not start.
+            if args.fleets.is_empty() {
+                secret_file::of_text(path, text.as_bytes())?;
+            }
+            text
+        }
         None => {
             let login = |user| Ok(format!("{user}:{}\n", secret()?));
             let users = match args.fleets.as_slice() {

@@ -11,6 +11,9 @@ pub enum ConfigError {
     /// The file is missing, unreadable or not a configuration; the source says which.
     #[error("configuration file {}", path.display())]
     File { path: PathBuf, source: zenoh::Error },
+    /// The file has a mistake; the reason begins with its line.
+    #[error("configuration file {}, {reason}", path.display())]
+    Syntax { path: PathBuf, reason: String },
     /// The value of `--cfg ':{...}'` is not a whole configuration.
     #[error("--cfg with an empty key must give a whole configuration, and this value is not one")]
     Whole { source: zenoh::Error },

@@ -8,10 +8,12 @@ use std::{
 };
 
 use nix::unistd::{access, AccessFlags};
+use rect_core::text::humanize;
 use zenoh::Config;
 use zenoh_config::EndPoint;
+use zenoh_link_ble::{locator::is_simulated, secret_file};
 
-use super::listens_on;
+use super::{has_radio, listens_on};
 
 /// Maximum length of the path of a socket file in bytes, a limit of Linux. The `.lock` file beside it does not count.
 pub const MAX_SOCKET_PATH: usize = 107;
@@ -40,6 +42,7 @@ pub fn listener_problems(
         let reason = match endpoint.protocol().as_str() {
             "unixsock-stream" => socket_file(endpoint.address().as_str(), &is_created_at_start),
             "tcp" | "tls" | "ws" | "quic" | "udp" => address(&endpoint),
+            _ if has_radio(&endpoint) => secret(&endpoint),
             _ => None,
         };
         found.extend(reason.map(|reason| ListenerProblem {
@@ -48,6 +51,34 @@ pub fn listener_problems(
         }));
     }
     found
+}
+
+/// Returns what is missing on this computer for listeners with Bluetooth, without which the router starts nevertheless.
+pub fn missing_adapters(config: &Config, root: &Path) -> Vec<ListenerProblem> {
+    let adapters = zenoh_link_ble_bluez::adapters(root);
+    let there_are = match adapters.as_slice() {
+        [] => "this computer has none".to_owned(),
+        adapters => format!("this computer has {}", adapters.join(", ")),
+    };
+    let mut found = Vec::new();
+    for endpoint in listens_on(config).into_iter().filter(has_radio) {
+        let adapter = endpoint.address().as_str();
+        if !is_simulated(adapter) && !adapters.iter().any(|one| one == adapter) {
+            found.push(ListenerProblem {
+                listener: format!("{}/{adapter}", endpoint.protocol()),
+                reason: format!("there is no Bluetooth adapter {adapter}; {there_are}"),
+            });
+        }
+    }
+    found
+}
+
+/// Returns why the file that `secret=` names cannot be used.
+fn secret(endpoint: &EndPoint) -> Option<String> {
+    let config = endpoint.config();
+    let path = Path::new(config.get("secret")?);
+    let error = secret_file::read(path).err()?;
+    Some(humanize::with_causes(&error))
 }
 
 fn socket_file(path: &str, is_created_at_start: impl Fn(&Path) -> bool) -> Option<String> {
@@ -119,6 +150,46 @@ mod tests {
         assert!(found("unixsock-stream//made/by/systemd/socket").is_empty());
         let long = found(&format!("unixsock-stream//tmp/{}", "x".repeat(120)));
         assert!(long[0].contains("125 bytes"), "{long:?}");
+    }
+
+    #[test]
+    fn reports_an_adapter_that_this_computer_does_not_have() {
+        let root = tempfile::tempdir().expect("a folder");
+        let found = |endpoint: &str| {
+            let text = format!("{{ mode: 'router', listen: {{ endpoints: ['{endpoint}'] }} }}");
+            let config = Config::from_json5(&text).expect("valid");
+            let found = missing_adapters(&config, root.path());
+            found.iter().map(ToString::to_string).collect::<Vec<_>>()
+        };
+        let none = found("ble/hci0#name=wombat-1");
+        assert_eq!(
+            none,
+            ["ble/hci0: there is no Bluetooth adapter hci0; this computer has none"]
+        );
+        std::fs::create_dir_all(root.path().join("sys/class/bluetooth/hci0")).expect("a folder");
+        assert!(found("any/hci0#name=wombat-1;secret=/x").is_empty());
+        assert!(found("ble/sim-1#name=wombat-1").is_empty() && found("tcp/127.0.0.1:0").is_empty());
+        let other = found("any/hci7#name=wombat-1;secret=/x");
+        assert_eq!(
+            other,
+            ["any/hci7: there is no Bluetooth adapter hci7; this computer has hci0"]
+        );
+    }
+
+    #[test]
+    fn reports_a_secret_that_is_easy_to_guess() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let users = folder.path().join("users");
+        let endpoint = format!("ble/sim-1#name=wombat-1;secret={}", users.display());
+        assert!(found(&endpoint)[0].contains("cannot read"));
+        std::fs::write(&users, "fleet:1234\n").expect("written");
+        let short = found(&endpoint);
+        assert!(
+            short[0].contains("has 4 bytes after the user's name"),
+            "{short:?}"
+        );
+        std::fs::write(&users, "fleet:0123456789abcdef\n").expect("written");
+        assert_eq!(found(&endpoint), Vec::<String>::new());
     }
 
     #[test]

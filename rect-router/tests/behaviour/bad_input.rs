@@ -164,11 +164,25 @@ fn rejects_a_missing_empty_or_invalid_configuration_file() {
     );
     let dir = tempfile::tempdir().expect("a directory");
     for (name, text, reason) in [
-        ("empty.json5", "", "Empty config file"),
-        ("open.json5", "{ mode: ", ""),
-        ("unknown.json5", "{ colour: \"red\" }", "JSON error"),
-        ("list.yaml", "- 1\n- 2\n", "YAML error"),
-        ("router.ini", "x", "Unsupported file type"),
+        ("empty.json5", "", ": Empty config file"),
+        (
+            "open.json5",
+            "{ mode: ",
+            ", line 1: the file ends where the value of `mode` is expected",
+        ),
+        (
+            "comma.json5",
+            "{\n  mode: \"router\"\n  id: \"1\"\n}\n",
+            ", line 2: a comma is missing at its end, before `id`",
+        ),
+        ("list.json5", "[]", ", line 1: a configuration is an object"),
+        (
+            "unknown.json5",
+            "{\n  colour: \"red\" }",
+            ", line 2: unknown field `colour`",
+        ),
+        ("list.yaml", "- 1\n- 2\n", ": YAML error"),
+        ("router.ini", "x", ": Unsupported file type"),
     ] {
         let file = dir.path().join(name);
         fs::write(&file, text).expect("written");
@@ -176,7 +190,7 @@ fn rejects_a_missing_empty_or_invalid_configuration_file() {
         assert_eq!(code, 1, "{message}");
         assert!(
             message.starts_with(&format!(
-                "rect-router: configuration file {}: {reason}",
+                "rect-router: configuration file {}{reason}",
                 file.display()
             )),
             "{message}"
