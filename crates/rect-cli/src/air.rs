@@ -5,7 +5,7 @@ use std::{
     path::PathBuf,
 };
 
-use crate::duration::DurationArgument;
+use crate::{choice, duration::DurationArgument};
 use clap::{Args, Subcommand, ValueEnum};
 use rect_core::text::display::line;
 use rect_terminal::{self as terminal, Table};
@@ -13,6 +13,9 @@ use tokio::signal::unix::{signal, SignalKind};
 use zenoh_link_ble_air::{
     AirOptions, AirServer, AirStatus, Condition, Control, ControlError, LlPayload, Phy, ServeError,
 };
+
+/// The values of `--pdu`.
+const PAYLOADS: [LlPayload; 2] = [LlPayload::Bytes27, LlPayload::Bytes251];
 
 const EXAMPLE: &str = "\
 Example: two robots on one computer, without Bluetooth
@@ -46,7 +49,8 @@ enum AirCommand {
     Restore(SocketArgument),
     /// Change the radio condition
     Condition {
-        /// The radio condition: desk, room, wall, edge-of-range or crowded-hall
+        /// The radio condition
+        #[arg(value_parser = choice::of(&Condition::ALL))]
         condition: Condition,
         #[command(flatten)]
         socket: SocketArgument,
@@ -72,17 +76,17 @@ enum AirCommand {
 
 #[derive(Args)]
 struct ServeArguments {
-    /// The radio condition: desk, room, wall, edge-of-range or crowded-hall
-    #[arg(long, default_value_t = Condition::Room)]
+    /// The radio condition
+    #[arg(long, default_value_t = Condition::Room, value_parser = choice::of(&Condition::ALL))]
     condition: Condition,
     /// The connection interval, 7.5ms to 4s
     #[arg(long, default_value = "30ms")]
     interval: DurationArgument,
-    /// The physical layer: 1m, 2m, coded-s2 or coded-s8
-    #[arg(long, default_value_t = Phy::Le1M)]
+    /// The physical layer
+    #[arg(long, default_value_t = Phy::Le1M, value_parser = choice::of(&Phy::ALL))]
     phy: Phy,
-    /// The link-layer payload in bytes: 27 (such as a Raspberry Pi 3B) or 251
-    #[arg(long, default_value_t = LlPayload::Bytes251)]
+    /// The link-layer payload in bytes; a Raspberry Pi 3B has 27
+    #[arg(long, default_value_t = LlPayload::Bytes251, value_parser = choice::of(&PAYLOADS))]
     pdu: LlPayload,
     /// The supervision timeout: time without a packet after which a link is lost
     #[arg(long, default_value = "2s")]
@@ -138,10 +142,20 @@ pub fn run(arguments: AirArguments) -> Result<(), AirError> {
     runtime.block_on(async {
         match command {
             AirCommand::Serve(arguments) => serve(arguments).await,
-            AirCommand::Cut(socket) => control(socket, Control::Cut).await,
-            AirCommand::Restore(socket) => control(socket, Control::Restore).await,
+            AirCommand::Cut(socket) => {
+                control(socket, Control::Cut).await?;
+                done("all adapters are out of range of each other; `rect air restore` moves them back");
+                Ok(())
+            }
+            AirCommand::Restore(socket) => {
+                control(socket, Control::Restore).await?;
+                done("all adapters are in range of each other");
+                Ok(())
+            }
             AirCommand::Condition { condition, socket } => {
-                control(socket, Control::Condition(condition)).await
+                control(socket, Control::Condition(condition)).await?;
+                done(&format!("the radio condition is {condition}"));
+                Ok(())
             }
             AirCommand::Power {
                 adapter,
@@ -149,7 +163,10 @@ pub fn run(arguments: AirArguments) -> Result<(), AirError> {
                 socket,
             } => {
                 let on = matches!(switch, Switch::On);
-                control(socket, Control::Power { adapter, on }).await
+                let text = format!("{adapter} is switched {}", if on { "on" } else { "off" });
+                control(socket, Control::Power { adapter, on }).await?;
+                done(&text);
+                Ok(())
             }
             AirCommand::Status { json, socket } => status(socket, json).await,
         }
@@ -196,6 +213,11 @@ async fn serve(arguments: ServeArguments) -> Result<(), AirError> {
 async fn control(socket: SocketArgument, command: Control) -> Result<(), AirError> {
     zenoh_link_ble_air::control(&socket.path(), command).await?;
     Ok(())
+}
+
+/// Says what has been changed. It is changed even if nobody reads that.
+fn done(what: &str) {
+    let _ = rect_terminal::try_write(format_args!("{}", line(what)));
 }
 
 async fn status(socket: SocketArgument, json: bool) -> Result<(), AirError> {

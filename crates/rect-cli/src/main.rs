@@ -4,6 +4,7 @@ mod action;
 mod air;
 mod alert;
 mod bench;
+mod choice;
 mod completion;
 mod configure;
 mod dashboard;

@@ -5,7 +5,7 @@ use std::{
     ffi::OsString,
     io::{self, ErrorKind},
     os::unix::process::CommandExt,
-    path::PathBuf,
+    path::{Path, PathBuf},
     process::Command,
 };
 
@@ -176,6 +176,11 @@ pub fn doctor(arguments: DoctorArguments) -> Done {
     become_router("doctor", robot.chain(arguments.at.passed_on()))
 }
 
+/// Writes the manual pages of `init`, `check`, `sim` and `wifi`.
+pub fn manual(folder: &Path) -> Done {
+    become_router("man", [folder.as_os_str().to_owned()])
+}
+
 impl AtArguments {
     /// Returns the arguments in the form in which `rect-router` parses them.
     fn passed_on(self) -> impl Iterator<Item = OsString> {
@@ -212,7 +217,7 @@ fn program() -> PathBuf {
     beside.unwrap_or_else(|| ROUTER.into())
 }
 
-fn not_started(command: &str, program: &std::path::Path, error: &io::Error) -> Failure {
+fn not_started(command: &str, program: &Path, error: &io::Error) -> Failure {
     let program = program.display();
     if error.kind() == ErrorKind::NotFound {
         return format!(

@@ -1,7 +1,10 @@
 //! Connects a command to a router: its arguments, and the name under which it connects.
 use std::path::PathBuf;
 
-use clap::Args;
+use clap::{
+    builder::{PossibleValuesParser, TypedValueParser},
+    Args,
+};
 use rect::{Error, Name, Options, Robot, Urgency};
 use rect_core::session::login::{default_file, FILE_VARIABLE};
 use serde_json::Value;
@@ -46,8 +49,8 @@ pub struct ListArguments {
 /// The urgency and compression of a message.
 #[derive(Args, Clone, Debug)]
 pub struct DeliveryArguments {
-    /// bulk, normal or urgent: urgent messages overtake all others on every link
-    #[arg(long, default_value = "normal", value_parser = urgency)]
+    /// Urgent messages overtake all others on every link
+    #[arg(long, default_value = "normal", value_parser = urgency())]
     pub urgency: Urgency,
     /// Compress the value with this codec: zstd:3, png, jpeg:60, webp:60, quantised:0.01, ...
     #[arg(long, value_name = "CODEC")]
@@ -57,13 +60,12 @@ pub struct DeliveryArguments {
     pub dictionary: Option<PathBuf>,
 }
 
-fn urgency(text: &str) -> Result<Urgency, String> {
-    match text {
-        "bulk" => Ok(Urgency::Bulk),
-        "normal" => Ok(Urgency::Normal),
-        "urgent" => Ok(Urgency::Urgent),
-        _ => Err("write bulk, normal or urgent".to_owned()),
-    }
+fn urgency() -> impl TypedValueParser<Value = Urgency> {
+    PossibleValuesParser::new(["bulk", "normal", "urgent"]).map(|name| match name.as_str() {
+        "bulk" => Urgency::Bulk,
+        "urgent" => Urgency::Urgent,
+        _ => Urgency::Normal,
+    })
 }
 
 impl JoinArguments {

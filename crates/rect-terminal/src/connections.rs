@@ -52,14 +52,8 @@ fn add(table: &mut Table, cells: Vec<Cell>, connection: &Connection) {
     table.row(cells);
     if let Some(paths) = &connection.paths {
         let paths: Vec<_> = paths.iter().map(path).collect();
-        let switches = match connection.switches {
-            None | Some(0) => String::new(),
-            Some(1) => "; switched once".to_owned(),
-            Some(switches) => format!("; switched {switches} times"),
-        };
-        let last = connection.last_switch.as_ref().map(last_switch);
-        let last = last.unwrap_or_default();
-        table.note(&format!("paths: {}{switches}{last}", paths.join(", ")));
+        let switches = switches(connection);
+        table.note(&format!("paths: {}{switches}", paths.join(", ")));
     }
     if let Some(waiting) = waiting(connection) {
         table.note(&waiting);
@@ -87,21 +81,44 @@ fn waiting(connection: &Connection) -> Option<String> {
     (!parts.is_empty()).then(|| format!("waiting: {}", parts.join(", ")))
 }
 
-/// Describes the last switch, such as `, 12s ago from tcp to ble (silent for 120 ms)`.
-fn last_switch(switch: &PathSwitch) -> String {
+/// Describes the switches of a link, such as `; switched 3 times, 12 s ago from tcp to ble (silent for 120 ms)`. A path that carries
+/// the load again after an interruption counts as a switch, too.
+fn switches(connection: &Connection) -> String {
+    let last = connection.last_switch.as_ref();
+    let is_same = last.is_some_and(|last| last.previous == last.path);
+    let times = match connection.switches {
+        None | Some(0) => return String::new(),
+        Some(1) => "once".to_owned(),
+        Some(switches) => format!("{switches} times"),
+    };
+    let Some(switch) = last else {
+        return format!("; switched {times}");
+    };
     let (ago, gap) = (
         duration_of_s(switch.ago_s),
         duration_of_s(switch.gap_ms / 1000.0),
     );
+    let PathSwitch { previous, path, .. } = switch;
+    if is_same {
+        let what = match connection.switches {
+            Some(1) => "interrupted",
+            _ => "interrupted or switched",
+        };
+        let why = match switch.reason {
+            SwitchReason::Ended => format!("{path} had ended, and is connected again"),
+            SwitchReason::Silent => {
+                format!("{path} was silent for {gap}, and carries the load again")
+            }
+            SwitchReason::Faster => format!("another {path} path is faster"),
+        };
+        return format!("; {what} {times}, {ago} ago: {why}");
+    }
     let why = match switch.reason {
         SwitchReason::Ended => "the path had ended".to_owned(),
         SwitchReason::Silent => format!("silent for {gap}"),
         SwitchReason::Faster => "faster".to_owned(),
     };
-    format!(
-        ", {ago} ago from {} to {} ({why})",
-        switch.previous, switch.path
-    )
+    format!("; switched {times}, {ago} ago from {previous} to {path} ({why})")
 }
 
 /// Describes a path, such as `tcp (bulk, 3.1 MB/s, 4 ms)`.
@@ -149,4 +166,46 @@ fn row(connection: &Connection) -> [Cell; 11] {
             .map(str::to_owned)
             .into(),
     ]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_path_that_carries_the_load_again_is_not_a_switch_to_itself() {
+        let mut connection = Connection::of("any", "wombat-2", State::Connected);
+        assert_eq!(switches(&connection), "");
+        connection.switches = Some(1);
+        connection.last_switch = Some(PathSwitch {
+            previous: "ble".to_owned(),
+            path: "ble".to_owned(),
+            reason: SwitchReason::Silent,
+            gap_ms: 3000.0,
+            ago_s: 12.0,
+        });
+        let shown = switches(&connection);
+        assert_eq!(
+            shown,
+            "; interrupted once, 12 s ago: ble was silent for 3 s, and carries the load again"
+        );
+        connection.switches = Some(3);
+        for reason in [SwitchReason::Ended, SwitchReason::Faster] {
+            if let Some(last) = connection.last_switch.as_mut() {
+                last.reason = reason;
+            }
+            let shown = switches(&connection);
+            assert!(
+                shown.starts_with("; interrupted or switched 3 times") && !shown.contains(" from "),
+                "{shown}"
+            );
+        }
+        if let Some(last) = connection.last_switch.as_mut() {
+            last.previous = "tcp".to_owned();
+        }
+        assert_eq!(
+            switches(&connection),
+            "; switched 3 times, 12 s ago from tcp to ble (faster)"
+        );
+    }
 }

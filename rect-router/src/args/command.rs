@@ -212,7 +212,7 @@ pub struct CompletionArgs {
 /// The arguments of `man`.
 #[derive(Debug, Parser)]
 pub struct ManArgs {
-    /// Existing folder for the pages
+    /// Folder for the pages, which is created if it does not exist
     pub folder: PathBuf,
 }
 

@@ -220,6 +220,49 @@ fn check_reports_invalid_configurations_without_starting_anything() {
 }
 
 #[test]
+fn a_secret_that_is_easy_to_guess_is_rejected_before_the_start() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let users = folder.path().join("users");
+    fs::write(&users, "fleet:1234\n").expect("written");
+    let (path, made) = (users.display().to_string(), folder.path().join("made"));
+    let made = made.display().to_string();
+    let options = ["--adapter", "sim-1", "--folder", &made, "--users", &path];
+    let refused = rect_router(&[&["init", "wombat-1"], &options[..]].concat());
+    assert_eq!(refused.status.code(), Some(1));
+    let text = text_of(&refused);
+    assert!(text.contains("has 4 bytes after the user's name"), "{text}");
+    assert!(!Path::new(&made).exists());
+
+    fs::write(&users, "fleet:0123456789abcdef\n").expect("written");
+    let written = rect_router(&[&["init", "wombat-1"], &options[..]].concat());
+    assert!(written.status.success(), "{}", text_of(&written));
+    let config = format!("{made}/robot.json5");
+    let checked = rect_router(&["check", &config]);
+    assert!(checked.status.success(), "{}", text_of(&checked));
+    fs::write(format!("{made}/users"), "fleet:1234\n").expect("written");
+    for arguments in [&["check", config.as_str()][..], &["-c", &config]] {
+        let refused = rect_router(arguments);
+        assert_eq!(refused.status.code(), Some(1), "{arguments:?}");
+        let text = text_of(&refused);
+        assert!(text.contains("has 4 bytes after the user's name"), "{text}");
+    }
+    // An adapter that is not there is no error, since it can be plugged in later.
+    let config = fs::read_to_string(&config)
+        .expect("text")
+        .replace("any/sim-1", "any/hci77");
+    let other = format!("{made}/other.json5");
+    fs::write(&other, config).expect("written");
+    fs::write(format!("{made}/users"), "fleet:0123456789abcdef\n").expect("written");
+    let checked = rect_router(&["check", &other]);
+    assert!(checked.status.success(), "{}", text_of(&checked));
+    let text = text_of(&checked);
+    assert!(
+        text.contains("warning: any/hci77: there is no Bluetooth adapter hci77"),
+        "{text}"
+    );
+}
+
+#[test]
 fn init_with_start_fails_without_an_installed_service() {
     let root = tempfile::tempdir().expect("a folder");
     let folder = root.path().join("etc").display().to_string();
@@ -251,8 +294,21 @@ fn writes_manual_pages_and_completions() {
     }
     let completion = rect_router(&["completion", "bash"]);
     assert!(text_of(&completion).contains("--login-as"));
-    let nowhere = rect_router(&["man", "/nowhere/at/all"]);
-    assert!(!nowhere.status.success() && text_of(&nowhere).contains("/nowhere/at/all"));
+    let nowhere = rect_router(&["man", "/dev/null/at/all"]);
+    assert!(!nowhere.status.success() && text_of(&nowhere).contains("/dev/null/at/all"));
+    // `rect` executes it for the pages of its commands that this program implements. The folder is created.
+    let pages = folder.path().join("share/man1");
+    let mut rect = Command::new(env!("CARGO_BIN_EXE_rect-router"));
+    std::os::unix::process::CommandExt::arg0(&mut rect, "rect");
+    let written = rect.arg("man").arg(&pages).output().expect("it starts");
+    assert!(written.status.success(), "{}", text_of(&written));
+    let page = fs::read_to_string(pages.join("rect-sim.1")).expect("a page");
+    assert!(
+        page.contains("rect sim") && page.contains("robots") && page.contains("wifi"),
+        "{page}"
+    );
+    let written = fs::read_dir(&pages).expect("a folder");
+    assert_eq!(written.count(), 4);
 }
 
 #[test]

@@ -654,5 +654,39 @@ fn usage_errors_suggest_a_solution() {
     }
     let help = text(&ran(&["--help"]).stdout);
     assert!(help.contains("rect sub '*/arm/*'"), "{help}");
-    assert!(text(&ran(&["completion", "bash"]).stdout).contains("complete -F"));
+    let completion = text(&ran(&["completion", "bash"]).stdout);
+    assert!(completion.contains("complete -F"));
+    for choices in [
+        "desk room wall edge-of-range crowded-hall",
+        "bulk normal urgent",
+        "1m 2m",
+    ] {
+        assert!(completion.contains(choices), "{choices}");
+    }
+}
+
+#[test]
+fn air_says_what_it_has_changed() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let socket = folder.path().join("air.sock");
+    let socket = socket.to_str().expect("text");
+    let mut command = rect(&["air", "--socket", socket]);
+    let mut air = Killed(command.stdout(Stdio::piped()).spawn().expect("started"));
+    let mut line = String::new();
+    let output = air.0.stdout.take().expect("piped");
+    BufReader::new(output).read_line(&mut line).expect("text");
+    assert!(line.contains("simulated air (room)"), "{line}");
+    for (change, expected) in [
+        (&["cut"][..], "all adapters are out of range of each other"),
+        (&["restore"], "all adapters are in range of each other"),
+        (&["condition", "desk"], "the radio condition is desk"),
+    ] {
+        let done = ran(&[&["air"], change, &["--socket", socket]].concat());
+        assert!(done.status.success(), "{}", text(&done.stderr));
+        assert!(
+            text(&done.stdout).contains(expected),
+            "{}",
+            text(&done.stdout)
+        );
+    }
 }
