@@ -6,6 +6,7 @@ use std::{
 
 use pyo3::prelude::*;
 use rect_core::session::{
+    endpoint,
     login::{self, Login},
     router::{self, JoinError},
 };
@@ -94,6 +95,12 @@ impl Raised for router::WrongRobot {
 #[pyo3(signature = (given))]
 pub fn default_login_file(given: Option<String>) -> String {
     login::default_file(given)
+}
+
+/// Returns what to do if no router answers at an endpoint. `router` is the command that runs a router on this computer.
+#[pyfunction]
+pub fn router_advice(endpoint: &str, reason: &str, router: &str) -> String {
+    endpoint::advice(endpoint, reason, router)
 }
 
 /// Returns the key expression of the liveliness tokens that name the robot of the router with this Zenoh id.

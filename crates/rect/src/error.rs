@@ -10,6 +10,7 @@ use rect_core::{
         Name, NameError,
     },
     session::{
+        endpoint,
         login::LoginRefused,
         names::{interrupted, no_action, no_parameters, no_service, not_reachable},
         router::WrongRobot,
@@ -53,8 +54,7 @@ pub enum Error {
     Codec(#[from] CodecError),
     /// No router answers at the endpoint. Start one, or select another one with [`Options::router`](crate::Options::router).
     #[error(
-        "no router answers at {endpoint}: {reason}. Start one on this computer with `rect-router -l tcp/127.0.0.1:7447`, \
-         or select another one with the option `router` or the environment variable RECT_ENDPOINT"
+        "no router answers at {endpoint}: {reason}. {}", endpoint::advice(.endpoint, .reason, "rect-router")
     )]
     NoRouter {
         /// The endpoint that was tried, such as `tcp/127.0.0.1:7447`.

@@ -80,9 +80,8 @@ class NoRouter(RectError, ConnectionError):
 
     def __init__(self, endpoint: str, reason: str) -> None:
         super().__init__(
-            f"no router answers at {endpoint}: {reason}. Start one on this computer with `python -m rect router "
-            "-l tcp/127.0.0.1:7447`, or select another one with the option `router` or the environment variable "
-            "RECT_ENDPOINT"
+            f"no router answers at {endpoint}: {reason}. "
+            + _rect.router_advice(endpoint, reason, "python -m rect router")
         )
         #: Locator of the router.
         self.endpoint = endpoint

@@ -1,4 +1,5 @@
 //! Parses the endpoint of a router as people write it, and determines the default.
+use std::net::IpAddr;
 
 /// The environment variable that names the router, for programs that do not set one.
 pub const ROUTER_VARIABLE: &str = "RECT_ENDPOINT";
@@ -48,6 +49,53 @@ pub fn parse(text: &str) -> Result<String, EndpointError> {
     Err(wrong())
 }
 
+/// The methods whose address is a host and a port.
+const WITH_PORT: [&str; 5] = ["tcp", "tls", "quic", "ws", "udp"];
+
+/// Returns what to do if no router answers at an endpoint, which depends on where that is. `router` is the command that runs a router
+/// on this computer; `reason` is why there is no session.
+pub fn advice(endpoint: &str, reason: &str, router: &str) -> String {
+    let (protocol, rest) = endpoint.split_once('/').unwrap_or(("", endpoint));
+    let address = rest.split(['#', '?']).next().unwrap_or(rest);
+    let (host, port) = address.rsplit_once(':').unwrap_or((address, ""));
+    let other =
+        "select another one with the option `router` or the environment variable RECT_ENDPOINT";
+    match protocol {
+        "unixsock-stream" => format!(
+            "A router listens on this socket file if its configuration names it, and programs in its group may use it. \
+             Check the path, or {other}"
+        ),
+        "ble" | "any" => format!(
+            "Is the robot {host} switched on and in range? `rect scan` shows the robots whose advertisements are received. \
+             Usually a program connects to the router of its own computer, {DEFAULT_ROUTER}, and that router to the robot"
+        ),
+        protocol if !WITH_PORT.contains(&protocol) => format!(
+            "Is {protocol} the method that you mean? Write for example {DEFAULT_ROUTER}"
+        ),
+        _ if is_this_computer(host) => {
+            let starting = match (protocol, port) {
+                ("tcp", _) => format!("`{router} -l {endpoint}`"),
+                _ => format!("`{router} -l {DEFAULT_ROUTER}`"),
+            };
+            format!("Start one on this computer with {starting}, or {other}")
+        }
+        _ if reason.contains("lookup") => format!(
+            "Is the name {host} spelled correctly? `ping {host}` finds its address if it is known here; otherwise give the IP address"
+        ),
+        _ => format!(
+            "Is that computer switched on and in this network (`ping {host}`), is its router running, does it listen there and not on \
+             127.0.0.1 alone (`rect init` writes that), and does its firewall permit port {port}? Otherwise {other}"
+        ),
+    }
+}
+
+/// Returns whether a host is this computer for everybody.
+fn is_this_computer(host: &str) -> bool {
+    let host = host.trim_start_matches('[').trim_end_matches(']');
+    let is_loopback = |address: IpAddr| address.is_loopback() || address.is_unspecified();
+    host.parse().map_or(host == "localhost", is_loopback)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -66,6 +114,67 @@ mod tests {
             ("ble/wombat-2#timeout=8000", "ble/wombat-2#timeout=8000"),
         ] {
             assert_eq!(parse(text).as_deref(), Ok(endpoint));
+        }
+    }
+
+    #[test]
+    fn advice_depends_on_where_the_router_is() {
+        for (endpoint, reason, expected) in [
+            (
+                "tcp/127.0.0.1:7447",
+                "refused",
+                "Start one on this computer with `rect-router -l tcp/127.0.0.1:7447`",
+            ),
+            (
+                "tcp/[::1]:7448",
+                "refused",
+                "Start one on this computer with `rect-router -l tcp/[::1]:7448`",
+            ),
+            (
+                "udp/localhost:7447",
+                "refused",
+                "Start one on this computer with `rect-router -l tcp/127.0.0.1:7447`",
+            ),
+            ("tcp/192.168.0.7:7447", "refused", "(`ping 192.168.0.7`)"),
+            (
+                "tls/base.local:7449#a=b",
+                "no answer",
+                "firewall permit port 7449",
+            ),
+            (
+                "tcp/wombat:7447",
+                "failed to lookup address information",
+                "Is the name wombat spelled correctly?",
+            ),
+            (
+                "unixsock-stream//run/rect/router.sock",
+                "no such file",
+                "socket file",
+            ),
+            (
+                "ble/wombat-2#timeout=1",
+                "not found",
+                "Is the robot wombat-2 switched on",
+            ),
+            (
+                "any/wombat-2",
+                "not found",
+                "Is the robot wombat-2 switched on",
+            ),
+            (
+                "pigeon/home",
+                "not supported",
+                "Is pigeon the method that you mean?",
+            ),
+        ] {
+            let advice = advice(endpoint, reason, "rect-router");
+            assert!(advice.contains(expected), "{endpoint}: {advice}");
+            let starts = advice.contains("Start one on this computer");
+            assert_eq!(
+                starts,
+                expected.starts_with("Start one"),
+                "{endpoint}: {advice}"
+            );
         }
     }
 
