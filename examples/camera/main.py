@@ -6,6 +6,7 @@ python examples/camera/main.py laptop wombat-1       # receives them
 
 import sys
 import time
+from contextlib import suppress
 
 import numpy as np
 import rect
@@ -34,4 +35,5 @@ def main(me: str = "wombat-1", other: str = "") -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    with suppress(KeyboardInterrupt):
+        main(*sys.argv[1:])

@@ -6,6 +6,7 @@ python examples/dig/main.py wombat-1 wombat-2 5    # asks wombat-2 to dig 5 cm d
 
 import sys
 import threading
+from contextlib import suppress
 
 import rect
 
@@ -32,4 +33,5 @@ def main(me: str = "wombat-1", digger: str = "", depth: str = "5") -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    with suppress(KeyboardInterrupt):
+        main(*sys.argv[1:])

@@ -3,9 +3,11 @@
 python examples/hello/main.py
 """
 
+from contextlib import suppress
+
 import rect
 
-with rect.connect("wombat-1") as robot:
+with suppress(KeyboardInterrupt), rect.connect("wombat-1") as robot:
     # Every program that subscribes to greetings receives this.
     robot.publish("greeting", "hello")
     # Only this program receives the reply.

@@ -6,6 +6,7 @@ python examples/request/main.py wombat-2 wombat-1    # sends requests
 
 import sys
 import threading
+from contextlib import suppress
 
 import rect
 
@@ -34,4 +35,5 @@ def main(me: str = "wombat-1", other: str = "") -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    with suppress(KeyboardInterrupt):
+        main(*sys.argv[1:])

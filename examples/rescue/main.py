@@ -5,6 +5,7 @@ python examples/rescue/main.py wombat-2 12      # its battery has 12 percent
 """
 
 import sys
+from contextlib import suppress
 from dataclasses import dataclass
 
 import rect
@@ -44,4 +45,5 @@ def main(name: str = "wombat-1", percent: str = "80") -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    with suppress(KeyboardInterrupt):
+        main(*sys.argv[1:])

@@ -6,6 +6,7 @@ python examples/state/main.py wombat-1 none      # forgets the mode
 """
 
 import sys
+from contextlib import suppress
 
 import rect
 
@@ -25,4 +26,5 @@ def main(me: str = "wombat-1", mode: str = "") -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    with suppress(KeyboardInterrupt):
+        main(*sys.argv[1:])

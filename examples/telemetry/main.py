@@ -8,6 +8,7 @@ import json
 import math
 import sys
 import time
+from contextlib import suppress
 
 import rect
 
@@ -36,4 +37,5 @@ def main(name: str = "wombat-1", step: str = "") -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    with suppress(KeyboardInterrupt):
+        main(*sys.argv[1:])

@@ -10,6 +10,7 @@ import math
 import sys
 import threading
 import time
+from contextlib import suppress
 
 import rect
 
@@ -36,4 +37,5 @@ def follow(robot: rect.Robot) -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    with suppress(KeyboardInterrupt):
+        main(*sys.argv[1:])

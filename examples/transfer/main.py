@@ -5,6 +5,7 @@ python examples/transfer/main.py wombat-2 wombat-1 map.bin       # sends a file
 """
 
 import sys
+from contextlib import suppress
 
 import rect
 
@@ -24,4 +25,5 @@ def main(me: str = "wombat-1", other: str = "", file: str = "") -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    with suppress(KeyboardInterrupt):
+        main(*sys.argv[1:])

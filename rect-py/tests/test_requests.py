@@ -228,3 +228,14 @@ def test_error_names_requested_robot_even_if_reply_names_another(pair: Pair) -> 
         two.request("wombat-1", "arm", 1, timeout=DEADLINE)
     assert error.value.robot == "wombat-1"
     service.undeclare()
+
+
+def test_reply_that_cannot_be_sent_is_logged_by_the_service(pair: Pair, caplog: pytest.LogCaptureFixture) -> None:
+    one, two = pair
+    one.serve("camera", lambda _: object())
+    one.serve("battery", lambda _: {"cells": {1, 2}})
+    for topic in ("camera", "battery"):
+        until_served(two, "wombat-1", topic)
+        with caplog.at_level(logging.WARNING, "rect"), pytest.raises(rect.ServiceError) as error:
+            two.request("wombat-1", topic, timeout=DEADLINE)
+        assert f"the service {topic} replies with an error: {error.value.value}" in caplog.text

@@ -225,12 +225,14 @@ class Request(Generic[T]):
     def refuse_for(self, error: BaseException) -> None:
         """Sends an error that describes the exception of a handler.
 
-        Logs the exception unless it is a `Refusal` or a `RectError`.
+        Logs the exception unless it is a `Refusal` or a `RectError`, except for a value that cannot be sent or read.
         """
         if isinstance(error, Refusal):
             self.refuse(error.value)
             return
-        if not isinstance(error, RectError):
+        if isinstance(error, PayloadError):
+            _LOG.warning("the service %s replies with an error: %s", self.topic, error)
+        elif not isinstance(error, RectError):
             _LOG.error("the handler of the service %s raised an exception", self.topic, exc_info=error)
         self.refuse(error_text(error))
 
