@@ -379,6 +379,15 @@ typedef struct rect_string {
     struct rect_text text;
 } rect_string;
 
+// How a goal is started. `rect_start_options options = {0};` are the defaults, and so is NULL.
+typedef struct rect_start_options {
+    // The id of the goal: 1 to 40 letters, digits, `_`, `-` and `.`. NULL: RECT chooses it. A goal that is started again with its id
+    // runs once.
+    const char *goal_id;
+    // How often feedback is sent at most, per second: 0.1 to 50. 0: 10.
+    double feedback_per_s;
+} rect_start_options;
+
 // A goal that this program has started or found. `rect_drop(&run.id, ..)` does not cancel the goal.
 typedef struct rect_action_run {
     // The handle.
@@ -405,6 +414,9 @@ typedef struct rect_known_goal {
     uint64_t began_ms;
     // When it ended; 0 if it has not.
     uint64_t ended_ms;
+    // For how long the robot's router has known this state, in milliseconds: how long ago it began or ended, whatever the clock of the
+    // robot says.
+    uint64_t age_ms;
     // The goal itself; empty if it is long, or there is none.
     struct rect_payload goal;
     // Whether it has a result.
@@ -1372,17 +1384,16 @@ const char *rect_phase_name(uint32_t phase);
 // must(rect_action_run_result(run, 60000, &result, &error));
 // ```
 //
-// `goal` is a payload of at most 48 kB, and NULL for none. `goal_id` is the id of the goal: 1 to 40 letters, digits, `_`, `-` and `.`;
-// NULL: RECT chooses it. A goal that is started again with its id runs once. `timeout_ms` is at most 10 minutes.
+// `goal` is a payload of at most 48 kB, and NULL for none. `options` may be NULL: the defaults. `timeout_ms` is at most 10 minutes.
 //
 // Returns `RECT_CODE_NO_ACTION` if no program of the robot has the action, `RECT_CODE_ACTION` if an argument is invalid, and
 // `RECT_CODE_TIMED_OUT` or `RECT_CODE_INTERRUPTED` if the robot did not answer: the goal may have begun. Then start it again with the same
-// id, which is safe. The other codes are those of `rect_robot_request`. May be called on any thread.
+// id, which is safe, or find it. The other codes are those of `rect_robot_request`. May be called on any thread.
 enum rect_code rect_robot_start(struct rect_robot robot,
                                 const char *target,
                                 const char *action_name,
                                 const struct rect_payload *goal,
-                                const char *goal_id,
+                                const struct rect_start_options *options,
                                 uint32_t timeout_ms,
                                 struct rect_action_run *run,
                                 struct rect_error *error);

@@ -32,6 +32,16 @@ pub struct ActionRun {
     pub id: u64,
 }
 
+/// How a goal is started. `rect_start_options options = {0};` are the defaults, and so is NULL.
+#[repr(C)]
+pub struct StartOptions {
+    /// The id of the goal: 1 to 40 letters, digits, `_`, `-` and `.`. NULL: RECT chooses it. A goal that is started again with its id
+    /// runs once.
+    pub goal_id: *const c_char,
+    /// How often feedback is sent at most, per second: 0.1 to 50. 0: 10.
+    pub feedback_per_s: f64,
+}
+
 /// How far a goal has come.
 #[repr(C)]
 pub enum Phase {
@@ -129,6 +139,9 @@ pub struct KnownGoal {
     pub began_ms: u64,
     /// When it ended; 0 if it has not.
     pub ended_ms: u64,
+    /// For how long the robot's router has known this state, in milliseconds: how long ago it began or ended, whatever the clock of the
+    /// robot says.
+    pub age_ms: u64,
     /// The goal itself; empty if it is long, or there is none.
     pub goal: PayloadView,
     /// Whether it has a result.
@@ -278,19 +291,18 @@ pub extern "C" fn rect_phase_name(phase: u32) -> *const c_char {
 /// must(rect_action_run_result(run, 60000, &result, &error));
 /// ```
 ///
-/// `goal` is a payload of at most 48 kB, and NULL for none. `goal_id` is the id of the goal: 1 to 40 letters, digits, `_`, `-` and `.`;
-/// NULL: RECT chooses it. A goal that is started again with its id runs once. `timeout_ms` is at most 10 minutes.
+/// `goal` is a payload of at most 48 kB, and NULL for none. `options` may be NULL: the defaults. `timeout_ms` is at most 10 minutes.
 ///
 /// Returns `RECT_CODE_NO_ACTION` if no program of the robot has the action, `RECT_CODE_ACTION` if an argument is invalid, and
 /// `RECT_CODE_TIMED_OUT` or `RECT_CODE_INTERRUPTED` if the robot did not answer: the goal may have begun. Then start it again with the same
-/// id, which is safe. The other codes are those of `rect_robot_request`. May be called on any thread.
+/// id, which is safe, or find it. The other codes are those of `rect_robot_request`. May be called on any thread.
 #[no_mangle]
 pub unsafe extern "C" fn rect_robot_start(
     robot: RobotHandle,
     target: *const c_char,
     action_name: *const c_char,
     goal: Option<&PayloadView>,
-    goal_id: *const c_char,
+    options: Option<&StartOptions>,
     timeout_ms: u32,
     run: Option<&mut MaybeUninit<ActionRun>>,
     error: Option<&mut MaybeUninit<ErrorOut>>,
@@ -298,13 +310,18 @@ pub unsafe extern "C" fn rect_robot_start(
     call(error, || {
         require_out("run", &run)?;
         // SAFETY: the caller follows the rules of rect.h.
-        let (target, action, goal_id) = unsafe {
-            (
-                text("target", target)?,
-                text("action_name", action_name)?,
-                text_or_none("goal_id", goal_id)?,
-            )
-        };
+        let (target, action) =
+            unsafe { (text("target", target)?, text("action_name", action_name)?) };
+        let mut described = rect::StartOptions::new();
+        if let Some(options) = options {
+            // SAFETY: the caller follows the rules of rect.h.
+            if let Some(id) = unsafe { text_or_none("options.goal_id", options.goal_id) }? {
+                described = described.id(id);
+            }
+            if options.feedback_per_s != 0.0 {
+                described = described.feedback_per_s(options.feedback_per_s);
+            }
+        }
         let goal = match goal {
             // SAFETY: the caller follows the rules of rect.h.
             Some(goal) => unsafe { goal.read() }?,
@@ -312,10 +329,7 @@ pub unsafe extern "C" fn rect_robot_start(
         };
         let program = robot.resolve()?;
         let patient = program.robot.with_timeout(timeout(timeout_ms));
-        let started = match goal_id {
-            Some(id) => program.wait(patient.start_as(id, target, action, goal))?,
-            None => program.wait(patient.start(target, action, goal))?,
-        };
+        let started = program.wait(patient.start_with(target, action, goal, described))?;
         write_out("run", run, into_c(&program, started))
     })
 }
@@ -394,6 +408,7 @@ fn goals_into_c(goals: Vec<rect::KnownGoal>) -> KnownGoals {
         program: Text::of(&known.state.program),
         began_ms: known.state.began_ms,
         ended_ms: known.state.ended_ms.unwrap_or(0),
+        age_ms: ms(known.state.age),
         goal: view(goal.as_ref()),
         has_result: result.is_some(),
         result: view(result.as_ref()),

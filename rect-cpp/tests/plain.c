@@ -420,14 +420,17 @@ static void on_feedback(const rect_feedback *feedback, void *context) {
 
 static void end_of_goal(rect_robot one, const char *goal, rect_phase phase, const char *reason) {
     const rect_payload payload = rect_payload_text(goal);
+    rect_start_options options = {0};
     rect_action_run run;
     rect_subscription subscription;
     rect_goal_status status;
     rect_buffer result;
     rect_code code;
     volatile int news = 0;
+    options.goal_id = goal;
+    options.feedback_per_s = 20;
     do {
-        code = rect_robot_start(one, "wombat-2", "dig", &payload, goal, TIMEOUT_MS, &run, &error);
+        code = rect_robot_start(one, "wombat-2", "dig", &payload, &options, TIMEOUT_MS, &run, &error);
     } while (code == RECT_CODE_NO_ACTION);
     must(code, "start");
     if (strcmp(goal, "wait") == 0) {
@@ -472,6 +475,7 @@ static void actions(rect_robot one, rect_robot two) {
     end_of_goal(one, "wait", RECT_PHASE_CANCELLED, "by wombat-1");
     must(rect_robot_goals(one, "*", TIMEOUT_MS, &goals, &error), "goals");
     check(goals.len == 3 && equals(goals.items[0].robot, "wombat-2"), "the goals are known");
+    check(goals.items[0].age_ms < TIMEOUT_MS * 10, "the state is new");
     must(rect_drop(&goals.id, &error), "drop");
     check(rect_robot_find(one, "wombat-2", "dig", "none", TIMEOUT_MS, &run, &error) == RECT_CODE_NO_GOAL, "no goal");
     must(rect_robot_find(one, "wombat-2", "dig", "fail", TIMEOUT_MS, &run, &error), "find");

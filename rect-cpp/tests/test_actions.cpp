@@ -96,6 +96,25 @@ TEST_CASE("a goal is carried out, and its client receives feedback and the resul
     });
 }
 
+TEST_CASE("feedback is sent as often as the client asks") {
+    Pair pair;
+    Flag received;
+    const auto action = must(pair.two.action("dig", [&](rect::Goal& goal) {
+        must(goal.progress(0.1));
+        received.wait();
+        must(goal.progress(0.2));
+        // Long enough for the default rate, and short beside the pause of 10 s that the client asks for.
+        goal.sleep(1s);
+    }));
+    rect::StartOptions rarely;
+    rarely.feedback_per_s = 0.1;
+    const auto run = start(pair.one, "dig", "", rarely);
+    until([&] { return must(run.status()).progress == 0.1; });
+    received.set();
+    (void)must(run.result(deadline));
+    CHECK(must(run.status()).progress == 0.1);
+}
+
 TEST_CASE("text, and nothing, are results, too") {
     Pair pair;
     const auto text = must(pair.two.action("text", [](rect::Goal& goal) {
@@ -199,6 +218,7 @@ TEST_CASE("goals of others are listed, found and cancelled") {
         CHECK(goals[0].ended.has_value());
         CHECK(must(goals[0].goal.view().value<int>()) == 3);
         CHECK_FALSE(goals[0].result.has_value());
+        until([&] { return must(pair.one.goals(robot))[0].age > goals[0].age; });
     }
     CHECK(must(pair.one.goals("wombat-1")).empty());
 }

@@ -56,13 +56,13 @@ pub struct GoalMessage(Message);
 /// The value and the progress of feedback.
 type FeedbackParts<'py> = (Parts<'py>, Option<f64>);
 /// A goal: its robot, action, id, phase and reason, its result and its value, who has started it, the program that carries it out, and when
-/// it began and ended, in milliseconds since 1970.
+/// it began and ended, in milliseconds since 1970, and for how long the robot's router has known the state, in seconds.
 type GoalParts<'py> = (
     (String, String, String),
     (&'static str, String),
     (Option<Parts<'py>>, Option<Parts<'py>>),
     (String, String),
-    (u64, Option<u64>),
+    (u64, Option<u64>, f64),
 );
 
 #[pymethods]
@@ -414,7 +414,7 @@ impl GoalMessage {
             (state.phase.as_str(), state.reason),
             (result, goal.map(|goal| parts(py, &goal))),
             (state.by, state.program),
-            (state.began_ms, state.ended_ms),
+            (state.began_ms, state.ended_ms, state.age.as_secs_f64()),
         ))
     }
 }

@@ -214,6 +214,24 @@ def test_exception_of_the_handler_is_the_reason_of_a_failure(robots: Robots, cap
     assert caplog.text.count("the handler of the action failing raised an exception") == 3
 
 
+def test_feedback_is_sent_as_often_as_the_client_asks(robots: Robots) -> None:
+    received = threading.Event()
+
+    @robots.server.action("rare")
+    def rare(goal: rect.Goal[Any]) -> None:
+        goal.feedback(progress=0.1)
+        assert received.wait(DEADLINE)
+        goal.feedback(progress=0.2)
+        # Long enough for the default rate, and short beside the pause of 10 s that the client asks for.
+        goal.sleep(1)
+
+    run = robots.start("rare", feedback_per_s=0.1)
+    until(lambda: run.progress == 0.1)
+    received.set()
+    assert run.result(DEADLINE) is None
+    assert run.progress == 0.1
+
+
 def test_cancel_ends_a_handler_that_notices_it(robots: Robots) -> None:
     handler = Handler()
     robots.server.action("noticing", handler.sleep)
@@ -347,6 +365,8 @@ def test_another_program_finds_a_goal(robots: Robots) -> None:
         [known] = [goal for goal in watcher.goals() if goal.action == "shared"]
         assert (known.robot, known.id, known.by, known.program) == ("wombat-2", run.id, "wombat-1/base", "digger")
         assert (known.phase, known.goal, known.result, known.ended) == ("running", [1, 2], None, None)
+        # Its age grows while the state stays the same.
+        until(lambda: next(goal.age for goal in watcher.goals() if goal.id == run.id) > known.age + 0.01)
         found = watcher.find("wombat-2", "shared", run.id)
         assert found.phase == "running"
         found.cancel()

@@ -48,9 +48,7 @@ mod urgency_sessions;
 mod waiting;
 mod warnings;
 
-pub use action::{
-    Action, ActionChanges, ActionOptions, ActionRun, Cancelled, Goal, StartOptions,
-};
+pub use action::{Action, ActionChanges, ActionOptions, ActionRun, Cancelled, Goal, StartOptions};
 pub use deadman::Deadman;
 #[doc(hidden)]
 pub use deadman::{DeadmanCall, DeadmanCalls};

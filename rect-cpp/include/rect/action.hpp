@@ -139,6 +139,8 @@ struct StartOptions {
     /// The id of the goal: 1 to 40 letters, digits, underscores, hyphens and periods. If it is empty, RECT chooses one. A goal that is
     /// started again with its id runs once.
     std::string id{};
+    /// How often feedback is sent at most, per second: 0.1 to 50. 0: 10.
+    double feedback_per_s{0};
     /// How long to wait until the goal is accepted or refused: at most 10 minutes.
     std::chrono::milliseconds timeout{default_timeout};
 };
@@ -194,6 +196,8 @@ struct KnownGoal {
     std::chrono::system_clock::time_point began;
     /// When it ended.
     std::optional<std::chrono::system_clock::time_point> ended;
+    /// For how long the robot's router has known this state: how long ago it began or ended, whatever the clock of the robot says.
+    std::chrono::milliseconds age;
     /// The goal itself; empty if it is long, or there is none.
     Payload goal;
     /// The result.
@@ -376,6 +380,7 @@ inline KnownGoal known_goal(const rect_known_goal& raw) {
                     std::string(view(raw.program)),
                     Time(std::chrono::milliseconds(raw.began_ms)),
                     {},
+                    std::chrono::milliseconds(raw.age_ms),
                     Payload(PayloadView(raw.goal)),
                     {}};
     if (raw.ended_ms != 0) {

@@ -69,6 +69,9 @@ class KnownGoal:
     began: datetime
     #: When it ended; `None` if it has not.
     ended: datetime | None
+    #: For how long the robot's router has known this state, in seconds: how long ago it began or ended, whatever the
+    #: clock of the robot says.
+    age: float
 
 
 class AnyRun(Generic[T]):
@@ -470,12 +473,12 @@ def _known(
     phase: tuple[Phase, str],
     values: tuple[tuple[bytes, str] | None, tuple[bytes, str] | None],
     programs: tuple[str, str],
-    times: tuple[int, int | None],
+    times: tuple[int, int | None, float],
 ) -> KnownGoal:
     result, goal = (None if value is None else Payload(*value).value for value in values)
-    began, ended = (None if ms is None else utc(ms / 1000) for ms in times)
+    began, ended = (None if ms is None else utc(ms / 1000) for ms in times[:2])
     assert began is not None
-    return KnownGoal(*which, *phase, *programs, goal, result, began, ended)
+    return KnownGoal(*which, *phase, *programs, goal, result, began, ended, times[2])
 
 
 def give_order(

@@ -2,8 +2,7 @@
 use std::process::ExitCode;
 
 use clap::Args;
-use rect::{Error, KnownGoal, Name, Payload};
-use rect_core::action;
+use rect::{Error, Name};
 use rect_terminal as terminal;
 
 use super::{action_name, goal_id};
@@ -44,17 +43,12 @@ pub async fn run(arguments: CancelArguments) -> Done {
     } = arguments;
     let place = format!("{robot}/{action}/{goal}");
     let own = join.join_unnamed().await?;
-    let topic = action::topic(&action, &goal);
-    let known = own.latest::<Payload>(&robot, topic.as_str()).await?;
-    let known = known.as_ref().and_then(KnownGoal::of);
-    if let Some(phase) = known
-        .map(|known| known.state.phase)
-        .filter(|phase| phase.is_end())
-    {
+    let run = own.find(&robot, &action, &goal).await?;
+    let phase = run.phase();
+    if phase.is_end() {
         return Err(format!("{place} has ended already: {phase}").into());
     }
-    let cancelled = own.find(&robot, &action, &goal).await?.cancel().await;
-    cancelled.map_err(|error| match error {
+    run.cancel().await.map_err(|error| match error {
         Error::Service { payload, .. } => {
             let text = String::from_utf8_lossy(&payload.bytes);
             format!("{place}: {text}")

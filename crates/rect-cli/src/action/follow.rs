@@ -72,6 +72,10 @@ pub async fn to_end(
     if is_cancelled {
         tell_of_cancel(&bar);
     }
+    if run.phase() != Phase::Waiting {
+        // It was found, with its state.
+        shown.on_change(run)?;
+    }
     loop {
         let interrupted = async {
             match &mut interrupts {

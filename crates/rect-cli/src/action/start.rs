@@ -2,7 +2,7 @@
 use std::{pin::pin, process::ExitCode};
 
 use clap::Args;
-use rect::{ActionRun, Error, Name};
+use rect::{ActionRun, Error, Name, StartOptions};
 use rect_core::action;
 use rect_terminal as terminal;
 use serde_json::json;
@@ -79,7 +79,7 @@ async fn start(arguments: StartArguments) -> Done {
     let random_id = || action::goal_id(rand::random());
     let id = arguments.id.clone().unwrap_or_else(random_id);
     let mut is_cancelled = false;
-    let mut starting = pin!(own.start_as(&id, robot, action, goal));
+    let mut starting = pin!(own.start_with(robot, action, goal, StartOptions::new().id(&id)));
     let run = loop {
         tokio::select! {
             run = &mut starting => break run.map_err(|error| unknown(error, &arguments, &id))?,

@@ -766,6 +766,8 @@ fn values_of_programs_become_parts_of_messages_and_return() {
     let value = to_value(&json).expect("a value");
     let returned: serde_json::Value = to_payload(&value).value().expect("a value");
     assert_eq!(returned, serde_json::json!({"x": 1.5}));
+    let nothing = ().to_payload().expect("a payload");
+    assert_eq!(to_value(&nothing), Ok(Value::Null));
     let bytes = Payload::new(vec![1, 2], Encoding::BYTES);
     assert_eq!(to_payload(&to_value(&bytes).expect("a value")), bytes);
     assert_eq!(

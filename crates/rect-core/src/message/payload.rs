@@ -267,6 +267,13 @@ impl<T: Serialize> ToPayload for Cbor<T> {
     }
 }
 
+/// Nothing: `null` as JSON.
+impl ToPayload for () {
+    fn to_payload(&self) -> Result<Payload, PayloadError> {
+        Ok(Payload::new("null", Encoding::JSON))
+    }
+}
+
 impl ToPayload for serde_json::Value {
     fn to_payload(&self) -> Result<Payload, PayloadError> {
         Json(self).to_payload()

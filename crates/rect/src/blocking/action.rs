@@ -5,7 +5,8 @@ use serde::de::DeserializeOwned;
 
 use super::{Robot, Runtime};
 use crate::{
-    session, Action, ActionOptions, Cancelled, Error, KnownGoal, Name, Payload, Phase, ToPayload,
+    session, Action, ActionOptions, Cancelled, Error, KnownGoal, Name, Payload, Phase,
+    StartOptions, ToPayload,
 };
 
 /// A goal that a handler carries out; see [`Robot::action`]. Clones are the same one.
@@ -104,18 +105,18 @@ impl Robot {
         self.run(self.runtime.wait(self.robot.start(robot, action, goal)))
     }
 
-    /// Does the same as [`start`](Self::start), with an id for the goal; see [`crate::Robot::start_as`].
+    /// Does the same as [`start`](Self::start), with an id for the goal, or another rate of feedback; see [`crate::Robot::start_with`].
     ///
     /// # Errors
     /// Returns the same errors.
-    pub fn start_as(
+    pub fn start_with(
         &self,
-        id: &str,
         robot: impl TryInto<Name, Error: Into<Error>>,
         action: &str,
         goal: impl ToPayload,
+        options: StartOptions,
     ) -> Result<ActionRun, Error> {
-        let started = self.robot.start_as(id, robot, action, goal);
+        let started = self.robot.start_with(robot, action, goal, options);
         self.run(self.runtime.wait(started))
     }
 

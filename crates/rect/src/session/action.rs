@@ -5,6 +5,6 @@ mod run;
 mod serve;
 
 pub use goal::{Cancelled, Goal};
-pub use options::ActionOptions;
+pub use options::{ActionOptions, StartOptions};
 pub use run::{ActionChanges, ActionRun};
 pub use serve::Action;

@@ -8,7 +8,7 @@ use std::{
     time::Duration,
 };
 
-use rect::{ActionOptions, ActionRun, Error, Goal, Json, Phase, Robot, Value};
+use rect::{ActionOptions, ActionRun, Error, Goal, Json, Phase, Robot, StartOptions, Value};
 use tokio::{sync::Notify, time::timeout};
 
 use crate::pair::{dialling, free_endpoint, listening, pair, TIMEOUT};
@@ -63,19 +63,23 @@ async fn a_goal_is_carried_out_and_others_find_it() {
     let actions: Vec<_> = programs.iter().flat_map(|one| one.actions()).collect();
     assert_eq!(actions, [("dig", "digs a hole")]);
     assert_eq!(laptop.services("wombat").await.expect("services"), []);
+    let first = || StartOptions::new().id("first");
 
-    let run = laptop.start_as("first", "wombat", "dig", Json(21));
+    let run = laptop.start_with("wombat", "dig", Json(21), first());
     let run = soon(run).await.expect("accepted");
     assert_eq!(soon(run.result::<u32>()).await.expect("a result"), 42);
     assert_eq!((run.id(), run.phase()), ("first", Phase::Done));
     // A start of the same goal runs it once, and has the same end.
-    let again = laptop.start_as("first", "wombat", "dig", Json(21));
+    let again = laptop.start_with("wombat", "dig", Json(21), first());
     let again = soon(again).await.expect("accepted");
     assert_eq!(soon(again.result::<u32>()).await.expect("a result"), 42);
     assert_eq!(begun.load(Ordering::Relaxed), 1);
 
     let found = soon(laptop.find("wombat", "dig", "first")).await;
-    let result = found.expect("found").result::<u32>().await;
+    let found = found.expect("found");
+    // The answer is applied: nothing else has to arrive.
+    assert_eq!(found.phase(), Phase::Done);
+    let result = found.result::<u32>().await;
     assert_eq!(result.expect("a result"), 42);
     let unknown = soon(laptop.find("wombat", "dig", "other")).await;
     assert!(matches!(unknown, Err(Error::NoGoal { .. })), "{unknown:?}");
@@ -85,6 +89,37 @@ async fn a_goal_is_carried_out_and_others_find_it() {
     };
     assert_eq!((goal.id.as_str(), goal.state.phase), ("first", Phase::Done));
     assert_eq!(goal.state.by, "laptop");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn feedback_is_sent_as_often_as_the_client_asks_and_nothing_is_a_result() {
+    let (robot, laptop) = pair("wombat", "laptop").await;
+    let received = Arc::new(Notify::new());
+    let continues = received.clone();
+    let handler = move |goal: Goal| {
+        let received = received.clone();
+        async move {
+            goal.feedback((), Some(0.1)).expect("sent");
+            received.notified().await;
+            goal.feedback((), Some(0.2)).expect("sent");
+            // Long enough for the default rate, and short beside the pause of 10 s that the client asks for.
+            goal.sleep(Duration::from_secs(1)).await
+        }
+    };
+    let _action = robot.action("dig", handler).await.expect("declared");
+    let rarely = StartOptions::new().feedback_per_s(0.1);
+    let run = soon(laptop.start_with("wombat", "dig", (), rarely)).await;
+    let run = run.expect("accepted");
+    let mut changes = run.changes();
+    soon(async {
+        while run.progress() != Some(0.1) {
+            changes.next().await.expect("it has not ended");
+        }
+    })
+    .await;
+    continues.notify_one();
+    soon(run.result::<()>()).await.expect("done");
+    assert_eq!(run.progress(), Some(0.1));
 }
 
 #[tokio::test(flavor = "multi_thread")]

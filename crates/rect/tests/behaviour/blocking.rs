@@ -7,7 +7,7 @@ use std::{
 
 use rect::{
     blocking::{Goal, Robot},
-    Error, Json, Options, Payload, Phase, ReceiveOptions, StreamOptions,
+    Error, Json, Options, Payload, Phase, ReceiveOptions, StartOptions, StreamOptions,
 };
 use rect_core::storage::Content;
 
@@ -148,7 +148,7 @@ fn goal_is_found_and_cancelled() {
     let [a, b] = two_robots();
     let _action = b.action("dig", |goal| dig(&goal)).expect("declared");
     let run = a
-        .start_as("hole", "b", "dig", Json(100_000))
+        .start_with("b", "dig", Json(100_000), StartOptions::new().id("hole"))
         .expect("started");
     while run.feedback().is_none() {
         run.changes().next().expect("open");

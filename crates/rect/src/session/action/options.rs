@@ -44,6 +44,35 @@ impl ActionOptions {
     }
 }
 
+/// How a goal is started with [`Robot::start_with`](crate::Robot::start_with).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StartOptions {
+    pub(super) id: Option<String>,
+    pub(super) feedback_per_s: Option<f64>,
+}
+
+impl StartOptions {
+    /// Creates the default options.
+    pub fn new() -> Self {
+        Self::default()
+    }
+
+    /// Sets the id of the goal: 1 to 40 letters, digits, `_`, `-` and `.`. Default: a random one. A goal that is started again with its id
+    /// runs once.
+    #[must_use]
+    pub fn id(self, id: &str) -> Self {
+        let id = Some(id.to_owned());
+        Self { id, ..self }
+    }
+
+    /// Sets how often feedback is sent at most, per second: 0.1 to 50. Default: 10.
+    #[must_use]
+    pub fn feedback_per_s(mut self, rate: f64) -> Self {
+        self.feedback_per_s = Some(rate);
+        self
+    }
+}
+
 impl From<&str> for ActionOptions {
     fn from(action: &str) -> Self {
         Self::new(action)

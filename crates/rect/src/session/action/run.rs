@@ -17,6 +17,7 @@ use rect_core::{
     message::{
         encoding::Encoding,
         payload::{Payload, ToPayload},
+        Message,
     },
     name::{
         parameter::is_name,
@@ -31,6 +32,7 @@ use tokio::{sync::watch, task::JoinHandle};
 use crate::{
     error::{valid, Error},
     session::{
+        action::StartOptions,
         events::Events,
         robot::Robot,
         shared::{lock, sleep_until},
@@ -76,7 +78,7 @@ impl Robot {
     /// # Errors
     /// [`Error::NoAction`] if no program of the robot has the action, [`Error::Action`] if an argument is invalid, and
     /// [`Error::TimedOut`] or [`Error::Interrupted`] if the robot did not answer: the goal may have begun. Then start it
-    /// [again with the same id](Self::start_as), which is safe, or [find](Self::find) it. The other errors are those of
+    /// [again with the same id](StartOptions::id), which is safe, or [find](Self::find) it. The other errors are those of
     /// [`request`](Self::request).
     ///
     /// # Cancel safety
@@ -87,24 +89,23 @@ impl Robot {
         action: &str,
         goal: impl ToPayload,
     ) -> Result<ActionRun, Error> {
-        self.start_as(&goal_id(rand::random()), robot, action, goal)
+        self.start_with(robot, action, goal, StartOptions::default())
             .await
     }
 
-    /// Does the same as [`start`](Self::start), with an id for the goal: 1 to 40 letters, digits, `_`, `-` and `.`. A goal that is
-    /// started again with its id runs once.
+    /// Does the same as [`start`](Self::start), with an id for the goal, or another rate of feedback.
     ///
     /// # Errors
     /// Returns the same errors.
     ///
     /// # Cancel safety
     /// If the future is dropped after it was polled, the goal may have begun.
-    pub async fn start_as(
+    pub async fn start_with(
         &self,
-        id: &str,
         robot: impl TryInto<Name, Error: Into<Error>>,
         action: &str,
         goal: impl ToPayload,
+        options: StartOptions,
     ) -> Result<ActionRun, Error> {
         let target: Name = valid(robot)?;
         let wrong = |reason| Error::Action { reason };
@@ -112,22 +113,23 @@ impl Robot {
             return Err(wrong(action::wrong_action(action)));
         }
         let goal = to_optional_value(&goal.into_payload()?.sendable()?).map_err(wrong)?;
+        let id = options.id.unwrap_or_else(|| goal_id(rand::random()));
         let order = Order::Start(order::Start {
-            id: id.to_owned(),
+            id: id.clone(),
             goal,
             by: self.program_name(),
-            feedback_per_s: None,
+            feedback_per_s: options.feedback_per_s,
         });
         let payload = order.write();
         Order::read(&payload).map_err(wrong)?;
         // Before the goal begins, so that its first feedback arrives.
-        let received = self.receive(&target, action, id).await?;
+        let received = self.receive(&target, action, &id).await?;
         match self.retrying().give_order(&target, action, &payload).await {
             Ok(()) => {}
             Err(Error::Service { payload, .. }) => {
                 let reason = payload.text().unwrap_or("the action gave no reason");
                 let refused = run::ActionRun::refused(target.clone(), reason, Instant::now());
-                let followed = Followed::new(self, target, action, id, refused);
+                let followed = Followed::new(self, target, action, &id, refused);
                 return Ok(ActionRun {
                     followed,
                     task: None,
@@ -135,7 +137,7 @@ impl Robot {
             }
             Err(error) => return Err(error),
         }
-        Ok(self.follow(target, action, id, received))
+        Ok(self.follow(target, action, &id, received, None))
     }
 
     /// Returns a goal that this program or another one has started.
@@ -169,7 +171,7 @@ impl Robot {
             });
         }
         let received = self.receive(&target, action, id).await?;
-        Ok(self.follow(target, action, id, received))
+        Ok(self.follow(target, action, id, received, answers.goals.first()))
     }
 
     /// Returns the goals of all actions of `robot`, or of all robots (`None`), which have not ended or did so within the last 10 minutes,
@@ -199,8 +201,19 @@ impl Robot {
         })
     }
 
-    fn follow(&self, target: Name, action: &str, id: &str, received: Received) -> ActionRun {
-        let run = run::ActionRun::new(target.clone(), Instant::now());
+    /// Follows a goal that was accepted, or was found: then with the answer about its state.
+    fn follow(
+        &self,
+        target: Name,
+        action: &str,
+        id: &str,
+        received: Received,
+        found: Option<&Message>,
+    ) -> ActionRun {
+        let mut run = run::ActionRun::new(target.clone(), Instant::now());
+        if found.is_some() {
+            run.on_answer(found, Instant::now());
+        }
         let followed = Followed::new(self, target, action, id, run);
         let task = self.inner.runtime.spawn(followed.clone().follow(received));
         ActionRun {
