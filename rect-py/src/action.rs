@@ -1,21 +1,24 @@
 //! Exposes actions: the goals that this program carries out, and those that it follows.
 use std::{
-    sync::Mutex,
+    sync::{Arc, Mutex},
     time::{Instant, SystemTime},
 };
 
+use bytes::Bytes;
 use pyo3::{prelude::*, pybacked::PyBackedBytes, types::PyTuple, IntoPyObjectExt};
 use rect_core::{
     action::{
         self,
         order::{Cancel, Order, Start},
+        pull::{self, PullError},
         query::{Answers, GoalsQuery},
+        result::GoalResult,
         run, server,
         server::{Outcome, Publication, Rules, Work},
         state::{Feedback, KnownGoal, Phase},
     },
     clock::unix::ms_since_1970,
-    message::Message,
+    message::{encoding::Encoding, payload::Payload, Message},
     name::Name,
     registry::connection::Event,
     session::names,
@@ -23,9 +26,11 @@ use rect_core::{
 };
 
 use crate::{
+    action_result::{ResultPull, ResultToKeep},
     clock::Clock,
     codec::{parts, payload, Parts},
     deadman::kind_and_robot,
+    detached::detached,
     driver::{lock, seconds, Driver, ToPython},
     errors::{raised, OrRaise},
     key_space::{name, KeySpace},
@@ -127,12 +132,16 @@ impl ActionServer {
     /// Handles that a handler has returned a result. Raises `PayloadError` if it is too large.
     fn on_done(
         &self,
+        py: Python<'_>,
         id: &str,
         bytes: PyBackedBytes,
         encoding: &str,
         noticed: bool,
     ) -> PyResult<()> {
-        let result = action::to_value(&payload(bytes, encoding)).map_err(wrong_value)?;
+        // A large result is kept after this call, and without Python.
+        let bytes = Bytes::copy_from_slice(&bytes);
+        let payload = Payload::new(bytes, Encoding::new(encoding.to_owned()));
+        let result = detached(py, || GoalResult::new(id, payload)).map_err(wrong_value)?;
         lock(&self.0).on_end(id, Outcome::Done { result, noticed }, now_ms());
         Ok(())
     }
@@ -181,8 +190,8 @@ impl ActionServer {
         }
     }
 
-    /// Returns what to publish now: `state` with a goal, the payload and its urgency, `feedback` with a goal and the payload, `forget` with a
-    /// goal, or `wait` as `work` does.
+    /// Returns what to publish now: `keep` with a large result, `state` with a goal, the payload and its urgency, `feedback` with a goal and
+    /// the payload, `forget` with a goal, or `wait` as `work` does.
     fn publication<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyTuple>> {
         let now = Instant::now();
         let publication = lock(&self.0).publication(now);
@@ -194,6 +203,9 @@ impl ActionServer {
             } => {
                 let urgency = if is_urgent { "urgent" } else { "normal" };
                 ("state", id, parts(py, &payload), urgency).into_pyobject(py)
+            }
+            Publication::Keep { result, bytes } => {
+                ("keep", ResultToKeep(result, bytes)).into_pyobject(py)
             }
             Publication::Feedback { id, payload } => {
                 ("feedback", id, parts(py, &payload)).into_pyobject(py)
@@ -318,11 +330,32 @@ impl ActionRun {
         lock(&self.core).has_ended()
     }
 
-    /// The result; `None` if there is none.
+    /// The result; `None` if there is none, or it is large.
     #[getter]
     fn result<'py>(&self, py: Python<'py>) -> Option<Parts<'py>> {
         let result = lock(&self.core).state().result();
         result.map(|result| parts(py, &result))
+    }
+
+    /// Begins to receive a large result; `None` if the goal has none. Raises `ActionError` if it cannot be received.
+    fn pull(&self, py: Python<'_>, key_space: &KeySpace) -> PyResult<Option<ResultPull>> {
+        let state = lock(&self.core).state().clone();
+        let (Phase::Done, Some(large)) = (state.phase, state.transfer) else {
+            return Ok(None);
+        };
+        let (place, clock) = (&key_space.0, Clock::new());
+        let now = clock.created_at();
+        let pull = pull::ResultPull::new(place, &self.robot, &self.action, &self.id, &large, now);
+        match pull {
+            Ok(pull) => Ok(Some(ResultPull {
+                core: Arc::new(Mutex::new(pull)),
+                clock,
+            })),
+            Err(PullError::Closed) => Ok(None),
+            Err(PullError::Unavailable(reason)) => {
+                Err(raised(py, "ActionError", ("done", reason)))
+            }
+        }
     }
 
     /// The newest feedback.

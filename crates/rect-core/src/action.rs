@@ -3,10 +3,13 @@
 //! They stand on what there is. An action is a service with an internal topic, which stands in the catalogue; starting a goal and
 //! cancelling it are requests to it ([`order`]). The state of a goal ([`state`]) is a retained message on the topic
 //! `actions/<action>/<goal>`, so that the robot's router keeps it, a cut does not matter, and others find the goal. Feedback is a message
-//! on `actions/<action>/<goal>/feedback`. [`server`] decides for the program that carries out goals, and [`run`] for the one that follows
-//! a goal.
+//! on `actions/<action>/<goal>/feedback`. A large [`result`] stays with its program, and is requested in pieces, as a transfer is.
+//! [`server`] decides for the program that carries out goals, and [`run`] for the one that follows a goal.
 pub mod order;
+pub mod pull;
 pub mod query;
+pub mod result;
+pub mod results;
 pub mod run;
 pub mod server;
 pub mod state;
@@ -35,8 +38,10 @@ const FEEDBACK: &str = "feedback";
 pub const KEPT_FOR: Duration = Duration::from_secs(600);
 /// The maximum number of goals of an action that have ended and are kept.
 pub const MAX_KEPT: usize = 16;
-/// The maximum size of a goal, a result or feedback, in bytes.
+/// The maximum size of a goal, feedback or a result that is part of a state, in bytes.
 pub const MAX_VALUE: usize = 48 << 10;
+/// The maximum size of a result, in bytes.
+pub const MAX_RESULT: usize = 16 << 20;
 /// The maximum length of a reason, in characters.
 pub const MAX_REASON: usize = 300;
 /// The size up to which an end is urgent, in bytes.
@@ -68,7 +73,7 @@ pub fn wrong_action(action: &str) -> String {
     wrong_name(action, "the name of an action")
 }
 
-/// Returns the error that a goal has ended without being done.
+/// Returns the error that a goal has ended without being done, or that there is no result although it is.
 pub fn goal_ended(phase: Phase, reason: &str) -> String {
     let end = match phase {
         Phase::Failed => "failed",
@@ -76,6 +81,7 @@ pub fn goal_ended(phase: Phase, reason: &str) -> String {
         Phase::Refused => "was refused",
         Phase::Preempted => "was preempted",
         Phase::Cancelled => "was cancelled",
+        Phase::Done => return format!("the goal is done, but {reason}"),
         phase => phase.as_str(),
     };
     match reason {

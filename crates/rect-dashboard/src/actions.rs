@@ -10,8 +10,13 @@ use std::{
 
 use rect::{Error, KnownGoal, Message, Name, Pattern, Payload, QueueOptions, Robot, Subscriber};
 use rect_core::{
-    action::{self, state::Feedback, to_payload},
+    action::{
+        self,
+        state::{Feedback, GoalState},
+        to_payload,
+    },
     clock::unix::ms_since_1970,
+    text::humanize::bytes,
 };
 use rect_recording::view;
 use tokio::{
@@ -253,12 +258,20 @@ fn on_message(goals: &mut Goals, message: &Message) {
         phase: state.phase,
         reason: state.reason.clone(),
         goal: state.goal.as_ref().map(|goal| shown(&to_payload(goal))),
-        result: state.result().as_ref().map(shown),
+        result: result(&state),
         by: state.by,
         program: state.program,
         since_ms,
     };
     goals.insert(key, row);
+}
+
+/// Returns the result as text. Only programs that ask for a large one receive it.
+fn result(state: &GoalState) -> Option<String> {
+    match &state.transfer {
+        Some(large) => Some(format!("{}, not shown", bytes(large.size_bytes))),
+        None => state.result().as_ref().map(shown),
+    }
 }
 
 /// Returns a value as JSON, of which a long one is cut.

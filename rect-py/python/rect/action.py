@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Generic
 
-from rect import _rect, stop
+from rect import _rect, action_result, stop
 from rect.errors import Cancelled, Closed, NotRetained, OptionError, PayloadError, RectError
 from rect.executor import Executor
 from rect.options import seconds, text
@@ -364,6 +364,8 @@ class ActionExecutor:
                     id, state, urgency = of_step
                     self._core.on_published(id, self._retain(id, Payload(*state), urgency))
                     self._wake()
+                elif step == "keep":
+                    action_result.keep(self._session, *of_step)
                 elif step == "feedback":
                     id, feedback = of_step
                     self._send(id, Payload(*feedback))

@@ -13,8 +13,10 @@ from typing import TYPE_CHECKING, Any, Generic
 
 from rect import _rect, registry
 from rect.action import goals_of
+from rect.action_result import ResultPull
 from rect.advice import on_problem
 from rect.choices import Phase
+from rect.deadline import Deadline
 from rect.declared import Declared
 from rect.errors import ActionError, NoAction, NoGoal, NotReachable, PayloadError, RectError, ServiceError, TimedOut
 from rect.executor import Executor
@@ -189,13 +191,26 @@ class ActionRun(AnyRun[T]):
 
         Raises `ActionError` if the goal was not done, with its `phase` and `reason`; `TimedOut` if it has not ended in
         time: it goes on; `PayloadError` if the result does not fit the type that `start` states; and `Closed`.
+
+        A result of more than 48 kB is received from the program that has carried out the goal, which has to run until
+        then: otherwise the `phase` of the `ActionError` is `done`. `TimedOut` says how much has arrived; the next call
+        goes on with that.
         """
+        deadline = Deadline(timeout)
         try:
             self._following.ended.pop(timeout)
         except Ended:
             pass
         except TimeoutError:
             raise TimedOut(self._core.expected, timeout or 0) from None
+        pull = self._following.pull(self)
+        if pull is not None:
+            try:
+                pull.ended.pop(deadline.remaining())
+            except Ended:
+                pass
+            except TimeoutError:
+                raise TimedOut(pull.expected, timeout or 0) from None
         value: T = self._following.result()
         return value
 
@@ -245,6 +260,9 @@ class Following:
         self._types = types
         self._feeds: list[Feed] = []
         self._lock = threading.Lock()
+        #: The result, if it is large and the program waits for it.
+        self._pull: ResultPull | None = None
+        self._is_closed = False
         #: Wakes the thread that asks.
         self._wake = threading.Event()
         self._subscriber = subscriber
@@ -299,13 +317,34 @@ class Following:
         core = self.core
         if not core.has_ended:
             raise self._session.closed_error("run")
-        result = None if core.result is None else Payload(*core.result).value
+        if self._pull is not None:
+            result = self._pull.value()
+        else:
+            result = None if core.result is None else Payload(*core.result).value
         if core.phase != "done":
             raise ActionError(core.phase, core.reason, result)
         return self._types.result_of(result)
 
+    def pull(self, run: object) -> ResultPull | None:
+        """Begins to receive a large result, or goes on with that, until the end of `run`. `None` if it is not large.
+
+        Raises `ActionError` if it cannot be received, `ThreadError` and `Closed`.
+        """
+        with self._lock:
+            if self._pull is None or self._pull.has_failed:
+                core = self.core.pull(self._session.key_space)
+                if core is not None:
+                    self._session.check()
+                    if self._is_closed:
+                        raise self._session.closed_error("run")
+                    self._pull = ResultPull(self._session, core, run)
+            return self._pull
+
     def end(self) -> None:
         """Ends the following."""
+        self._is_closed = True
+        if self._pull is not None:
+            self._pull.stop()
         self.declared.end()
 
     def leave(self) -> None:
@@ -361,7 +400,7 @@ class Following:
     def _end_if_over(self) -> bool:
         """Ends the following of a goal that has ended."""
         if self.core.has_ended:
-            self.end()
+            self.declared.end()
         return self.core.has_ended
 
     def _on_end(self) -> None:

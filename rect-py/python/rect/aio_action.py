@@ -10,6 +10,7 @@ from typing import Any
 from rect import _rect
 from rect.action import ActionExecutor, AnyGoal
 from rect.action_run import AnyRun, Feedback
+from rect.deadline import Deadline
 from rect.errors import TimedOut
 from rect.options import seconds
 from rect.receive_queue import Ended
@@ -100,11 +101,20 @@ class AsyncRun(AnyRun[T]):
 
     async def result(self, timeout: float | None = None) -> T:
         """Waits until the goal ends, and returns its result; see `rect.ActionRun.result`."""
+        deadline = Deadline(timeout)
         try:
             await self._following.ended.pop_async(timeout)
         except Ended:
             pass
         except TimeoutError:
             raise TimedOut(self._core.expected, timeout or 0) from None
+        pull = self._following.pull(self)
+        if pull is not None:
+            try:
+                await pull.ended.pop_async(deadline.remaining())
+            except Ended:
+                pass
+            except TimeoutError:
+                raise TimedOut(pull.expected, timeout or 0) from None
         value: T = self._following.result()
         return value

@@ -196,6 +196,8 @@ class Session:
         self.log: Logging
         #: The stop of the fleet, once the program takes part in it.
         self.fleet_stop: Any = None
+        #: The large results of its actions, once there is one.
+        self.results: Any = None
         #: Links of the robot's router; `None` without a router.
         self.links: _rect.Links | None = None
         _OPEN.add(self)

@@ -2,8 +2,11 @@
 use std::{process::ExitCode, time::Duration};
 
 use indicatif::{ProgressBar, ProgressStyle};
-use rect::{ActionRun, Error, Phase};
-use rect_core::text::{display::line, humanize::duration};
+use rect::{ActionRun, Error, Payload, Phase};
+use rect_core::text::{
+    display::line,
+    humanize::{bytes, duration},
+};
 use rect_terminal as terminal;
 use serde_json::{json, Value as Json};
 use tokio::{
@@ -77,12 +80,6 @@ pub async fn to_end(
         shown.on_change(run)?;
     }
     loop {
-        let interrupted = async {
-            match &mut interrupts {
-                Some(interrupts) => interrupts.next().await,
-                None => std::future::pending().await,
-            }
-        };
         tokio::select! {
             change = changes.next() => match change {
                 Some(()) => shown.on_change(run)?,
@@ -90,7 +87,7 @@ pub async fn to_end(
             },
             _ = tick.tick() => shown.draw(run),
             () = &mut cancelling, if is_cancelled && !has_order => has_order = true,
-            () = interrupted => {
+            () = interrupted(&mut interrupts) => {
                 if is_cancelled {
                     bar.finish_and_clear();
                     return Ok(ExitCode::from(INTERRUPTED));
@@ -100,12 +97,41 @@ pub async fn to_end(
             }
         }
     }
+    let received = result(run, &mut shown, interrupts).await;
     bar.finish_and_clear();
-    end(run, &mut shown).await
+    match received {
+        Some(result) => end(run, as_json, result),
+        None => Ok(ExitCode::from(INTERRUPTED)),
+    }
+}
+
+async fn interrupted(interrupts: &mut Option<&mut Interrupts>) {
+    match interrupts {
+        Some(interrupts) => interrupts.next().await,
+        None => std::future::pending().await,
+    }
+}
+
+/// Returns the result of a goal that has ended; `None` if this program is interrupted while it receives a large one.
+async fn result(
+    run: &ActionRun,
+    shown: &mut Shown,
+    mut interrupts: Option<&mut Interrupts>,
+) -> Option<Result<Payload, Error>> {
+    let mut ending = std::pin::pin!(run.end());
+    let mut tick = interval(DRAWN_EVERY);
+    loop {
+        tokio::select! {
+            biased;
+            result = &mut ending => return Some(result),
+            _ = tick.tick() => shown.draw_result(run),
+            () = interrupted(&mut interrupts) => return None,
+        }
+    }
 }
 
 /// Prints the end of a goal.
-async fn end(run: &ActionRun, shown: &mut Shown) -> Done {
+fn end(run: &ActionRun, as_json: bool, result: Result<Payload, Error>) -> Done {
     if !run.phase().is_end() {
         return Err(format!(
             "the router has ended the connection, and the goal goes on: follow it with `rect action watch {} {} {}`",
@@ -115,15 +141,19 @@ async fn end(run: &ActionRun, shown: &mut Shown) -> Done {
         )
         .into());
     }
-    if shown.as_json {
+    if as_json {
         let mut document = document(run);
-        if let Ok(result) = run.end().await {
-            document["result"] = display::json(&result);
+        let is_done = result.is_ok();
+        match result {
+            Ok(result) => document["result"] = display::json(&result),
+            // It is done, and its result is not known.
+            Err(Error::Goal { reason, .. }) => document["reason"] = reason.into(),
+            Err(error) => return Err(error.into()),
         }
         terminal::json_line(&document)?;
-        return Ok(ExitCode::from(u8::from(run.phase() != Phase::Done)));
+        return Ok(ExitCode::from(u8::from(!is_done)));
     }
-    let result = run.end().await?;
+    let result = result?;
     match display::json(&result) {
         Json::Null => terminal::outln!("done"),
         _ => terminal::outln!("done: {}", display::text(&result)),
@@ -198,6 +228,16 @@ impl Shown {
         }
         self.bar.set_message(words(run));
         self.bar.tick();
+    }
+
+    /// Draws how much of a large result has arrived.
+    fn draw_result(&self, run: &ActionRun) {
+        if let Some(progress) = run.result_progress() {
+            let [received, all] = [progress.received_bytes, progress.size_bytes].map(bytes);
+            self.bar
+                .set_message(format!("receiving the result: {received} of {all}"));
+            self.bar.tick();
+        }
     }
 }
 

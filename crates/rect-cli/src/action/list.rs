@@ -200,6 +200,7 @@ fn as_json(goal: &KnownGoal, progress: Option<f64>) -> Json {
         "reason": state.reason,
         "goal": state.goal.as_ref().map(|goal| display::json(&to_payload(goal))),
         "result": state.result().as_ref().map(display::json),
+        "result_bytes": state.transfer.as_ref().map(|large| large.size_bytes),
         "by": state.by,
         "program": state.program,
         "began_ms": state.began_ms,

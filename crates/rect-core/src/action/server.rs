@@ -4,10 +4,12 @@ use std::{
     time::{Duration, Instant},
 };
 
+use bytes::Bytes;
 use ciborium::Value;
 
 use super::{
     order::{Cancel, Order, Start},
+    result::{GoalResult, LargeResult},
     short,
     state::{Feedback, GoalState, Phase, PROGRAM_ENDED},
     FEEDBACK_PER_S, KEPT_FOR, LOST_AFTER, MAX_KEPT, URGENT_END,
@@ -66,6 +68,8 @@ struct Goal {
     orders: Vec<u64>,
     /// Whether the router has the goal, so that nobody else begins it.
     is_kept: bool,
+    /// The bytes of a large result that nobody has yet.
+    unserved: Option<Bytes>,
     /// How it ends if its handler notices.
     cancelled: Option<(Phase, String)>,
     /// When it is cancelled, because its client is away.
@@ -109,6 +113,13 @@ pub enum Work {
 /// A message that an executor publishes.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Publication {
+    /// Keep the bytes of a large result ([`Results::keep`](super::results::Results::keep)).
+    Keep {
+        /// Its description.
+        result: LargeResult,
+        /// The bytes.
+        bytes: Bytes,
+    },
     /// The state of a goal, which is retained. Report with [`ActionServer::on_published`] whether it is.
     State {
         /// The goal.
@@ -140,7 +151,7 @@ pub enum Outcome {
     /// It has returned a result. `noticed`: it knew that it was asked to end.
     Done {
         /// The result.
-        result: Value,
+        result: GoalResult,
         /// Whether it knew that it was asked to end.
         noticed: bool,
     },
@@ -360,7 +371,16 @@ impl ActionServer {
                     (Phase::Cancelled, "by the program itself".to_owned(), None)
                 }
             };
-            goal.state.result = result.filter(|result| !result.is_null());
+            match result {
+                Some(GoalResult::Value(value)) if !value.is_null() => {
+                    goal.state.result = Some(value);
+                }
+                // Nobody asks for that of a goal that is not done.
+                Some(GoalResult::Large(described, bytes)) if phase == Phase::Done => {
+                    (goal.state.transfer, goal.unserved) = (Some(described), Some(bytes));
+                }
+                _ => {}
+            }
             self.end(id, phase, &reason, now_ms);
         }
         self.begin_next();
@@ -445,6 +465,13 @@ impl ActionServer {
             self.publish_after = None;
             while let Some(id) = self.unpublished.pop_front() {
                 if let Some(goal) = self.goals.get_mut(&id) {
+                    if let (Some(result), Some(bytes)) =
+                        (&goal.state.transfer, goal.unserved.take())
+                    {
+                        let result = result.clone();
+                        self.unpublished.push_front(id);
+                        return Publication::Keep { result, bytes };
+                    }
                     if goal.has_ended() {
                         goal.forget_at = Some(now + KEPT_FOR);
                     }
@@ -609,6 +636,7 @@ impl Goal {
             client,
             orders: Vec::new(),
             is_kept: false,
+            unserved: None,
             cancelled: None,
             lost_at: None,
             feedback: None,

@@ -4,7 +4,7 @@ use std::{fmt, time::Duration};
 use ciborium::Value;
 use serde::{Deserialize, Serialize};
 
-use super::{cbor, null, of_topic, short, to_payload, MAX_VALUE};
+use super::{cbor, null, of_topic, result::LargeResult, short, to_payload, MAX_VALUE};
 use crate::{
     message::{payload::Payload, Message},
     name::Name,
@@ -55,6 +55,9 @@ pub struct GoalState {
     /// The result.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub result: Option<Value>,
+    /// The description of a result that is too large to be part of the state.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub transfer: Option<LargeResult>,
     /// The goal, unless it is long.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub goal: Option<Value>,
@@ -147,6 +150,7 @@ impl GoalState {
             phase,
             reason: String::new(),
             result: None,
+            transfer: None,
             goal: None,
             by: String::new(),
             program: String::new(),
@@ -186,7 +190,7 @@ impl GoalState {
         })
     }
 
-    /// Returns the result as a payload.
+    /// Returns the result as a payload, unless it is large.
     pub fn result(&self) -> Option<Payload> {
         self.result.as_ref().map(to_payload)
     }

@@ -9,6 +9,7 @@ use ciborium::Value;
 
 use super::{
     order::{Cancel, Order, Start},
+    result::GoalResult,
     run::ActionRun,
     server::{ActionServer, Outcome, Publication, Rules, Work},
     state::{Feedback, GoalState, KnownGoal, Phase},
@@ -342,7 +343,7 @@ impl World {
             (true, _) => Outcome::Cancelled,
             (false, true) => {
                 self.history.entry(id.clone()).or_default().has_returned = true;
-                let (result, noticed) = (Value::from(7), false);
+                let (result, noticed) = (GoalResult::Value(Value::from(7)), false);
                 Outcome::Done { result, noticed }
             }
             (false, false) => return,
@@ -354,6 +355,7 @@ impl World {
     fn publish(&mut self) {
         while let Some(program) = &mut self.program {
             match program.server.publication(self.now) {
+                Publication::Keep { .. } => unreachable!("no result is large"),
                 Publication::Wait(_) => break,
                 Publication::Feedback { payload, .. } => {
                     assert!(Feedback::read(&payload).is_ok());
@@ -628,7 +630,7 @@ fn a_handler_that_did_not_notice_the_cancel_is_done() {
         bench.order(1, &start("a", 1));
         bench.order(2, &cancel("a"));
         assert_eq!(bench.phase("a"), Some(Phase::Cancelling));
-        let result = Value::from(1);
+        let result = GoalResult::Value(Value::from(1));
         bench
             .server
             .on_end("a", Outcome::Done { result, noticed }, 5);
@@ -824,7 +826,7 @@ fn a_result_waits_for_a_router_that_restarts_and_is_left_out_where_there_is_no_r
         let mut bench = Bench::new(Rules::default());
         bench.order(1, &start("a", 1));
         let outcome = Outcome::Done {
-            result: Value::from(7),
+            result: GoalResult::Value(Value::from(7)),
             noticed: false,
         };
         bench.server.on_end("a", outcome, 5);

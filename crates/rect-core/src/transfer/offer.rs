@@ -77,9 +77,7 @@ impl Offer {
         let mut all = Vec::new();
         write_text(&mut all, to.as_str());
         self.write_content(&mut all);
-        let hash: [u8; 32] = Sha256::digest(&all).into();
-        let first = hash.first_chunk().copied().unwrap_or_default();
-        TransferId(u64::from_be_bytes(first))
+        TransferId::of(&all)
     }
 
     /// Returns whether both offers have the same content, regardless of the call.
@@ -176,11 +174,41 @@ impl FileName {
     }
 }
 
+impl TransferId {
+    /// Returns the id of what these bytes describe.
+    pub fn of(description: &[u8]) -> Self {
+        let hash = Checksum::of(description).0;
+        let first = hash.first_chunk().copied().unwrap_or_default();
+        Self(u64::from_be_bytes(first))
+    }
+
+    /// Reads an id: 16 hexadecimal digits. Returns `None` for any other text.
+    pub fn parse(text: &str) -> Option<Self> {
+        digits(text).map(|bytes| Self(u64::from_be_bytes(bytes)))
+    }
+}
+
 impl Checksum {
     /// Computes the checksum of bytes in memory.
     pub fn of(bytes: &[u8]) -> Self {
         Self(Sha256::digest(bytes).into())
     }
+
+    /// Reads a checksum: 64 hexadecimal digits. Returns `None` for any other text.
+    pub fn parse(text: &str) -> Option<Self> {
+        digits(text).map(Self)
+    }
+}
+
+/// Reads bytes as hexadecimal digits.
+fn digits<const N: usize>(text: &str) -> Option<[u8; N]> {
+    let is_valid = text.len() == 2 * N && text.bytes().all(|digit| digit.is_ascii_hexdigit());
+    let mut bytes = [0; N];
+    for (at, byte) in bytes.iter_mut().enumerate() {
+        let digits = text.get(2 * at..2 * at + 2).filter(|_| is_valid)?;
+        *byte = u8::from_str_radix(digits, 16).ok()?;
+    }
+    Some(bytes)
 }
 
 impl fmt::Display for TransferId {

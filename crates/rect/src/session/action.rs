@@ -1,6 +1,7 @@
 //! Carries out the goals of actions, and starts and follows those of others.
 mod goal;
 mod options;
+mod pull;
 mod run;
 mod serve;
 

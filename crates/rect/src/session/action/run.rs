@@ -25,6 +25,7 @@ use rect_core::{
         Name,
     },
     text::humanize,
+    transfer::Progress,
 };
 use serde::de::DeserializeOwned;
 use tokio::{sync::watch, task::JoinHandle};
@@ -32,7 +33,7 @@ use tokio::{sync::watch, task::JoinHandle};
 use crate::{
     error::{valid, Error},
     session::{
-        action::StartOptions,
+        action::{pull::Pulled, StartOptions},
         events::Events,
         robot::Robot,
         shared::{lock, sleep_until},
@@ -49,12 +50,13 @@ pub struct ActionRun {
 /// Reports changes of a goal; created by [`ActionRun::changes`].
 pub struct ActionChanges(watch::Receiver<()>, Arc<Followed>);
 
-struct Followed {
-    robot: Robot,
-    target: Name,
-    action: String,
-    id: String,
+pub(super) struct Followed {
+    pub(super) robot: Robot,
+    pub(super) target: Name,
+    pub(super) action: String,
+    pub(super) id: String,
     run: Mutex<run::ActionRun>,
+    pub(super) pulled: Pulled,
     changes: watch::Sender<()>,
 }
 
@@ -259,6 +261,7 @@ impl Followed {
             action: action.to_owned(),
             id: id.to_owned(),
             run: Mutex::new(run),
+            pulled: Pulled::default(),
             changes: watch::Sender::new(()),
         })
     }
@@ -367,6 +370,11 @@ impl ActionRun {
         run.feedback().map(|feedback| to_payload(&feedback.value))
     }
 
+    /// Returns how much of a result of more than 48 kB has arrived, while [`end`](Self::end) or [`result`](Self::result) waits for it.
+    pub fn result_progress(&self) -> Option<Progress> {
+        self.followed.pulled.progress()
+    }
+
     /// Returns for how long the robot has not been reachable; `None` if it is. The goal goes on meanwhile, unless the rules of its action
     /// say otherwise.
     pub fn unreachable_for(&self) -> Option<Duration> {
@@ -433,15 +441,15 @@ impl ActionRun {
         while !lock(&self.followed.run).has_ended() {
             changes.next().await.ok_or(Error::Closed)?;
         }
-        let run = lock(&self.followed.run);
-        let state = run.state();
-        match state.phase {
-            Phase::Done => Ok(state
+        let state = lock(&self.followed.run).state().clone();
+        match (state.phase, &state.transfer) {
+            (Phase::Done, Some(large)) => self.followed.pull(large).await,
+            (Phase::Done, None) => Ok(state
                 .result()
                 .unwrap_or_else(|| Payload::new("null", Encoding::JSON))),
-            phase => Err(Error::Goal {
+            (phase, _) => Err(Error::Goal {
                 phase,
-                reason: state.reason.clone(),
+                reason: state.reason,
             }),
         }
     }
@@ -457,6 +465,9 @@ impl ActionRun {
     pub async fn end_within(&self, timeout: Duration) -> Result<Payload, Error> {
         let ended = tokio::time::timeout(timeout, self.end()).await;
         ended.unwrap_or_else(|_| {
+            if let Some(expected) = self.followed.pulled.expected() {
+                return Err(Error::TimedOut { expected, timeout });
+            }
             let (phase, time) = (self.phase(), humanize::duration(self.phase_for()));
             let unreachable = self.unreachable_for().map_or_else(String::new, |time| {
                 let time = humanize::duration(time);

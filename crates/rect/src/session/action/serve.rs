@@ -15,9 +15,10 @@ use rect_core::{
     action::{
         self,
         query::{Answers, GoalsQuery},
+        result::GoalResult,
         server::{ActionServer, Outcome, Publication, Work},
         state::{Feedback, KnownGoal},
-        to_payload, to_value,
+        to_payload,
     },
     catalogue::ServiceEntry,
     clock::unix::ms_since_1970,
@@ -141,9 +142,9 @@ impl Robot {
             }
         }
         let handler = move |goal: Goal| -> Pin<Box<dyn Future<Output = Outcome> + Send>> {
-            let cancel = goal.cancel.clone();
+            let (id, cancel) = (goal.id.clone(), goal.cancel.clone());
             let running = handler(goal);
-            Box::pin(async move { outcome(running.await, cancel.is_noticed()) })
+            Box::pin(async move { outcome(&id, running.await, cancel.is_noticed()) })
         };
         let requests = Some(self.requests_of(entry).await?);
         let shared = Arc::new(Shared {
@@ -189,9 +190,8 @@ fn now_ms() -> u64 {
     ms_since_1970(SystemTime::now())
 }
 
-/// Returns the outcome of a handler. `noticed`: it knew that it should end.
-fn outcome<V: ToPayload, E: ToPayload>(result: Result<V, E>, noticed: bool) -> Outcome {
-    let value = |payload: Payload| to_value(&payload);
+/// Returns the outcome of the handler of the goal `id`. `noticed`: it knew that it should end.
+fn outcome<V: ToPayload, E: ToPayload>(id: &str, result: Result<V, E>, noticed: bool) -> Outcome {
     let result = match result {
         Ok(result) => result.into_payload().map_err(|error| error.to_string()),
         Err(_) if noticed => return Outcome::Cancelled,
@@ -201,7 +201,7 @@ fn outcome<V: ToPayload, E: ToPayload>(result: Result<V, E>, noticed: bool) -> O
             return Outcome::Failed(text.unwrap_or_else(|error| error.to_string()));
         }
     };
-    match result.and_then(value) {
+    match result.and_then(|payload| GoalResult::new(id, payload)) {
         Ok(result) => Outcome::Done { result, noticed },
         Err(reason) => Outcome::Failed(format!("the result cannot be sent: {reason}")),
     }
@@ -371,6 +371,11 @@ impl Shared {
                     server.on_published(&id, published, Instant::now(), now_ms());
                     drop(server);
                     self.work.notify_one();
+                }
+                Publication::Keep { result, bytes } => {
+                    if let Err(error) = self.robot.keep_result(&result, bytes) {
+                        warn(&format!("a result cannot be kept: {error}"));
+                    }
                 }
                 Publication::Feedback { id, payload } => {
                     lock(&self.news).insert(id, payload);
