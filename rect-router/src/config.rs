@@ -128,6 +128,14 @@ pub fn uses_bluetooth(config: &Config) -> bool {
     connect.any(|one| has_radio(&one)) || listens_on(config).iter().any(has_radio)
 }
 
+/// Returns the names of the adapters of the Bluetooth listeners.
+pub fn adapters(config: &Config) -> Vec<String> {
+    let listeners = listens_on(config).into_iter().filter(has_radio);
+    listeners
+        .map(|one| one.address().as_str().to_owned())
+        .collect()
+}
+
 /// Returns whether the links of an endpoint use Bluetooth.
 fn has_radio(endpoint: &EndPoint) -> bool {
     any::has_radio(endpoint.protocol().as_str())

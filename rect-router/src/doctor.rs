@@ -5,6 +5,7 @@ pub mod declarations;
 pub mod encryption;
 pub mod names;
 pub mod radio;
+pub mod refused;
 pub mod system;
 
 use std::path::Path;
@@ -68,21 +69,29 @@ impl Finding {
     }
 }
 
-/// Returns the findings of a router about its computer, its links and its programs. `may_choose` is whether it may choose connection
+/// Returns the findings of a router about its computer, its links and its programs. `adapters` are those of its Bluetooth listeners,
+/// `may_choose` is whether it may choose connection
 /// intervals, if that is known, and `delayed` the number of declarations that had to wait.
 pub fn of_router(
     connections: &[Connection],
+    adapters: &[String],
     may_choose: Option<bool>,
     delayed: u64,
 ) -> Vec<Finding> {
-    let mut findings = system::findings(Path::new("/"));
+    let mut findings = system::findings(Path::new("/"), Some(adapters));
     findings.extend(declarations::finding(delayed));
     // The form that another router would answer with.
     if let Ok(connections) = serde_json::to_value(connections) {
         findings.extend(radio::findings(&connections, may_choose));
-        findings.extend(encryption::findings(&connections));
+        findings.extend(encryption::findings(&connections, adapters));
+        findings.extend(refused::findings(&connections));
     }
     findings
+}
+
+/// Returns whether a router uses the simulated air and no other adapter.
+fn is_simulated(adapters: &[String]) -> bool {
+    !adapters.is_empty() && adapters.iter().all(|one| zenoh_link_ble::locator::is_simulated(one))
 }
 
 /// Returns whether a connection uses Bluetooth.

@@ -28,7 +28,10 @@ use rect_core::{
 use serde::Serialize;
 use zenoh::{query::Query, session::Link, Session, Wait};
 use zenoh_link_any::{locator::has_radio, observers};
-use zenoh_link_ble::{status::DiscoveredStatus, BLE_LOCATOR_PREFIX as BLE};
+use zenoh_link_ble::{
+    status::{DiscoveredStatus, RefusedStatus},
+    BLE_LOCATOR_PREFIX as BLE,
+};
 use zenoh_link_ble_bluez::management;
 use zenoh_link_ble_radio::advertisement::Advertisement;
 use zenoh_link_table::admission::delayed_declarations;
@@ -75,6 +78,18 @@ struct Sources {
     uptime: Arc<Uptime>,
     /// Hash of the fleet's name, as advertised.
     fleet_hash: u16,
+}
+
+/// Returns the document of a robot in range, with the reason if it has asked for a link and got none.
+fn discovered(address: &str, refused: Option<&RefusedStatus>) -> Connection {
+    Connection {
+        failed: refused.map(|refused| refused.count),
+        last_error: refused.map(|refused| Failure {
+            what: humanize::short_reason(&refused.reason),
+            ago_s: refused.ago_s,
+        }),
+        ..Connection::of(BLE, address, State::Discovered)
+    }
 }
 
 /// Returns the alerts of the robot.
@@ -127,6 +142,7 @@ impl Registry {
         })?;
         let (id, start) = (session.zid().to_string(), Instant::now());
         let others = Arc::clone(&presence);
+        let adapters = settings.adapters.clone();
         sources.answer(own, "status", move |connections, _| {
             let rule = fleet.rule();
             Status {
@@ -137,14 +153,17 @@ impl Registry {
                 auto_links: rule.auto_links,
                 same_name: others.name_conflicts(),
                 chooses_intervals: management::is_permitted(),
+                adapters: adapters.clone(),
                 delayed_declarations: delayed_declarations(),
                 connections: Counts::of(&connections),
                 alerts: alerts().iter().map(RobotAlert::to_json).collect(),
             }
         })?;
-        sources.answer(own, "doctor", |connections, _| {
+        let adapters = settings.adapters.clone();
+        sources.answer(own, "doctor", move |connections, _| {
             doctor::of_router(
                 &connections,
+                &adapters,
                 management::is_permitted(),
                 delayed_declarations(),
             )
@@ -271,14 +290,27 @@ impl Sources {
             |robot: &DiscoveredStatus| radio.links.iter().any(|link| link.address == robot.address);
         let of_fleet = (radio.discovered.iter()).filter(|r| r.fleet_hash == self.fleet_hash);
         let free = of_fleet.filter(|robot| !is_linked(robot) && !has_connection(robot));
-        let discovered = free.map(|robot| {
+        let found = free.map(|robot| {
             let address = robot.name.as_ref().unwrap_or(&robot.address);
+            let refused = radio.refused.iter();
+            let mut refused = refused.filter(|refused| refused.address == robot.address);
             Connection {
                 rssi_dbm: robot.rssi_dbm,
-                ..Connection::of(BLE, address, State::Discovered)
+                ..discovered(address, refused.next())
             }
         });
-        discovered.collect()
+        // This robot scans only while it dials, but a robot that asks for a link is in range.
+        let has_row = |refused: &&RefusedStatus| {
+            let same = |address: &String| *address == refused.address;
+            radio.discovered.iter().any(|robot| same(&robot.address))
+                || radio.links.iter().any(|link| same(&link.address))
+                || connections
+                    .iter()
+                    .any(|connection| same(&connection.address))
+        };
+        let others = radio.refused.iter().filter(|refused| !has_row(refused));
+        let others = others.map(|refused| discovered(&refused.address, Some(refused)));
+        found.chain(others).collect()
     }
 
     /// Returns the document of a named connection, given its link if it has one.

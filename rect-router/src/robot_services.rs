@@ -69,7 +69,8 @@ impl RobotServices {
     ///
     /// # Errors
     /// Fails if an endpoint of the configuration or the fleet's name is invalid.
-    pub fn prepare(settings: Settings, config: &mut Config) -> zenoh::Result<Self> {
+    pub fn prepare(mut settings: Settings, config: &mut Config) -> zenoh::Result<Self> {
+        settings.adapters = config::adapters(config);
         config::announce(config, &settings.fleet)?;
         // A connections file may enable `auto_connect: "fleet"` later.
         let max_links = match (&settings.connections, settings.auto_connect) {

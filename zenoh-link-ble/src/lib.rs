@@ -18,6 +18,7 @@ pub mod locator;
 mod manager;
 mod name_conflict;
 mod pending_handshakes;
+mod refusals;
 mod rejected_peers;
 mod scanner;
 pub mod secret_file;

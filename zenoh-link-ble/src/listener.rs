@@ -271,6 +271,9 @@ impl Listener {
             connection.iter_mut().for_each(ConnectionGuard::end_here);
         }
         drop(connection);
+        if let Ok(Outcome::Linked(_)) = opened {
+            self.node.on_accepted(peer);
+        }
         match opened {
             Ok(Outcome::Linked(link)) if link.path().is_some() => match self.node.path_acceptor() {
                 Some(acceptor) => acceptor.on_path(BlePath::new(link)),
@@ -293,7 +296,7 @@ impl Listener {
                 if let BleError::Misdirected { .. } = error {
                     self.node.link_table().on_misdirected(peer);
                 }
-                tracing::warn!("ble: no link with {peer}: {}", describe(&error));
+                self.node.on_refused(peer, &describe(&error).to_string());
             }
         }
     }

@@ -8,6 +8,7 @@ use crate::link::node::Node;
 
 pub use crate::{
     discovered::DiscoveredStatus,
+    refusals::RefusedStatus,
     link::{
         history::{Event, PeerStatus},
         status::{LaneStatus, LanesStatus, LinkStatus, NodeStatus},

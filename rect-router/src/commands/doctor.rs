@@ -41,8 +41,9 @@ fn show(mark: &str, text: &str) {
 /// # Errors
 /// Fails if the findings cannot be printed as JSON.
 pub fn run(args: &DoctorArgs) -> Result<ExitCode, Failure> {
-    let mut findings = system::findings(Path::new("/"));
-    findings.extend(network::findings(args));
+    let (of_network, adapters) = network::findings(args);
+    let mut findings = system::findings(Path::new("/"), adapters.as_deref());
+    findings.extend(of_network);
     if args.json {
         terminal::json(&findings)?;
     } else {

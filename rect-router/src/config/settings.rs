@@ -52,6 +52,9 @@ pub struct Settings {
     pub listen: Vec<String>,
     /// User of the login file as which this router logs in when it dials; equivalent to `rect-router --login-as`.
     pub login_as: Option<String>,
+    /// Adapters of the Bluetooth listeners. Not a setting: it is filled in from the listeners of the configuration.
+    #[serde(skip)]
+    pub adapters: Vec<String>,
     /// In a stock zenohd: the listener of the host that the plugin connects to, such as `tcp/127.0.0.1:7447`; default its
     /// first listener.
     pub host: Option<String>,
@@ -170,6 +173,7 @@ mod tests {
             sessions: SessionSettings::default(),
             listen: Vec::new(),
             login_as: None,
+            adapters: Vec::new(),
             host: None,
         };
         assert_eq!(settings.expect("valid"), Some(expected));

@@ -1,14 +1,16 @@
 //! Checks that what leaves this computer is encrypted.
 use serde_json::Value;
 
-use super::{has_radio, peer, Finding};
+use super::{has_radio, is_simulated, peer, Finding};
 
 const ABOUT: &str = "encryption";
 
-/// Returns a finding for each link of a robot that is not encrypted. `connections` is the answer of its registry.
-pub fn findings(connections: &Value) -> Vec<Finding> {
+/// Returns a finding for each link of a robot that is not encrypted. `connections` is the answer of its registry, and `adapters` are
+/// those of its Bluetooth listeners. Links over the simulated air stay on this computer.
+pub fn findings(connections: &Value, adapters: &[String]) -> Vec<Finding> {
     let all = connections.as_array().into_iter().flatten();
-    all.filter(|connection| connection["encrypted"] == false)
+    let stays = |connection: &Value| has_radio(connection) && is_simulated(adapters);
+    all.filter(|connection| connection["encrypted"] == false && !stays(connection))
         .map(unencrypted)
         .collect()
 }
@@ -46,7 +48,7 @@ mod tests {
     fn found(method: &str, encrypted: Value) -> Vec<String> {
         let peer = json!({ "robot": "wombat-2" });
         let connection = json!({ "method": method, "peer": peer, "encrypted": encrypted });
-        let findings = findings(&json!([connection])).into_iter();
+        let findings = findings(&json!([connection]), &["hci0".to_owned()]).into_iter();
         findings.map(|finding| finding.what).collect()
     }
 
@@ -57,6 +59,24 @@ mod tests {
                 .contains("the Bluetooth link with wombat-2 is not encrypted: everybody in range"));
         }
         assert!(found("tcp", json!(false))[0].contains("everybody on the network"));
+    }
+
+    #[test]
+    fn is_silent_about_the_simulated_air() {
+        let connection = json!({ "method": "ble", "address": "wombat-2", "encrypted": false });
+        let network = json!({ "method": "tcp", "address": "10.0.0.2:7447", "encrypted": false });
+        let found = |adapters: &[&str]| {
+            let adapters = adapters
+                .iter()
+                .map(|&one| one.to_owned())
+                .collect::<Vec<_>>();
+            findings(&json!([connection, network]), &adapters).len()
+        };
+        assert_eq!(found(&["sim-1"]), 1);
+        assert_eq!(
+            (found(&["hci0"]), found(&["sim-1", "hci0"]), found(&[])),
+            (2, 2, 2)
+        );
     }
 
     #[test]

@@ -4,14 +4,28 @@ use std::{
     path::{Path, PathBuf},
 };
 
-use super::Finding;
+use super::{is_simulated, Finding};
 
-/// Runs all checks. `root` is the root of the file system, which tests replace.
-pub fn findings(root: &Path) -> Vec<Finding> {
+/// Runs all checks. `root` is the root of the file system, which tests replace. `used` are the adapters of the Bluetooth listeners of
+/// the router, if it answers: without one, or with those of the simulated air, the Bluetooth of this computer does not matter.
+pub fn findings(root: &Path, used: Option<&[String]>) -> Vec<Finding> {
     let system = System { root };
     let mut findings = vec![system.kernel()];
+    if let Some(used) = used.filter(|used| is_simulated(used)) {
+        let used = used.join(", ");
+        findings.push(Finding::good(
+            "adapter",
+            format!("{used}, of the simulated air"),
+        ));
+        return findings;
+    }
     let adapters = zenoh_link_ble_bluez::adapters(root);
     let has_adapter = !adapters.is_empty();
+    if used.is_some_and(<[String]>::is_empty) && !has_adapter {
+        let what = "none, and the configuration of the router has no Bluetooth listener";
+        findings.push(Finding::good("adapter", what));
+        return findings;
+    }
     findings.push(system.adapter(&adapters));
     findings.extend(system.rfkill());
     if has_adapter {
@@ -254,7 +268,7 @@ mod tests {
             let folder = root.path().join(path);
             let _ = fs::remove_dir(folder.parent().expect("a folder"));
         }
-        findings(root.path())
+        findings(root.path(), None)
     }
 
     fn not_good(findings: &[Finding]) -> Vec<String> {
@@ -386,5 +400,23 @@ mod tests {
     fn accepts_root_without_the_group() {
         let root = ("proc/self/status", "Uid:\t0\t0\t0\t0\nGroups:\t0 \n");
         assert_eq!(not_good(&computer(&[root])), Vec::<String>::new());
+    }
+
+    #[test]
+    fn the_bluetooth_of_this_computer_matters_only_if_the_router_uses_it() {
+        let root = tempfile::tempdir().expect("a folder");
+        let adapters =
+            |used: &[&str]| -> Vec<String> { used.iter().map(|&one| one.to_owned()).collect() };
+        let verdict = |used: Option<&[&str]>| {
+            let used = used.map(adapters);
+            let found = findings(root.path(), used.as_deref());
+            let found = found.iter().find(|finding| finding.about == "adapter");
+            found.map(|finding| finding.verdict)
+        };
+        assert_eq!(verdict(None), Some(Verdict::Wrong));
+        assert_eq!(verdict(Some(&["hci0"])), Some(Verdict::Wrong));
+        assert_eq!(verdict(Some(&["hci0", "sim-1"])), Some(Verdict::Wrong));
+        assert_eq!(verdict(Some(&["sim-1"])), Some(Verdict::Good));
+        assert_eq!(verdict(Some(&[])), Some(Verdict::Good));
     }
 }

@@ -33,6 +33,8 @@ pub struct Status {
     pub same_name: Vec<String>,
     /// Whether the router may choose connection intervals on Linux; `None` before the first Bluetooth link.
     pub chooses_intervals: Option<bool>,
+    /// Adapters of the Bluetooth listeners of its router; those named `sim...` are of the simulated air.
+    pub adapters: Vec<String>,
     /// Number of declarations of its programs that had to wait, because a program made too many.
     pub delayed_declarations: u64,
     /// Number of its connections.

@@ -7,7 +7,7 @@ use zenoh_link_any::{
     status::{self as any, LinkStatus as AnyStatus},
     ANY_LOCATOR_PREFIX as ANY,
 };
-use zenoh_link_ble::status::{nodes, DiscoveredStatus, LanesStatus, LinkStatus};
+use zenoh_link_ble::status::{nodes, DiscoveredStatus, LanesStatus, LinkStatus, RefusedStatus};
 
 use super::LinkTraffic;
 use crate::paths::{self, traffic};
@@ -20,20 +20,24 @@ pub struct Radio {
     any: Vec<AnyStatus>,
     /// Robots whose advertisements were received within the last minute.
     pub discovered: Vec<DiscoveredStatus>,
+    /// Peers that have asked for a link within the last minute and got none.
+    pub refused: Vec<RefusedStatus>,
 }
 
 impl Radio {
     /// Returns the current status.
     pub fn now() -> Self {
-        let (mut links, mut discovered) = (Vec::new(), Vec::new());
+        let (mut links, mut discovered, mut refused) = (Vec::new(), Vec::new(), Vec::new());
         for node in nodes() {
             links.extend(node.links);
             discovered.extend(node.discovered);
+            refused.extend(node.refused);
         }
         Self {
             links,
             any: any::links(),
             discovered,
+            refused,
         }
     }
 

@@ -48,6 +48,33 @@ fn robots_of_one_team_connect_and_a_robot_of_another_team_is_rejected() {
         why.is_some_and(|why| why.contains("did not prove that it has the same secret")),
         "{refused:#}"
     );
+    // Both sides' doctors name the reason, and what to do about it.
+    let doctor = |endpoint: &str, folder: &str| {
+        let users = format!("{folder}/users");
+        text_of(&rect_router(&[
+            "doctor", "--router", endpoint, "--users", &users,
+        ]))
+    };
+    for (endpoint, folder, expected) in [
+        (
+            &elsewhere,
+            &foreign,
+            "WRONG  peer: wombat-9 has no connection first",
+        ),
+        (&local, &one, " has asked for a link "),
+    ] {
+        let found = doctor(endpoint, folder);
+        let found = found.split_whitespace().collect::<Vec<_>>().join(" ");
+        let expected = expected.replace("  ", " ");
+        assert!(
+            found.contains(&expected)
+                && found.contains("the same secret")
+                && found.contains("give both the same login file"),
+            "{found}"
+        );
+        // Nothing is wrong with the computer: its routers use the simulated air.
+        assert!(found.contains("good adapter: "), "{found}");
+    }
     let of_one = "rect/wombat-1/@rect/peers";
     let peers = answers(&program(&one, &local), of_one, |answer| {
         !answer[0].is_null()

@@ -22,6 +22,7 @@ use crate::{
         history::History, number::LinkNumber, open_links::OpenLinks, path::AcceptPaths,
         status::NodeStatus, table::LinkTable, LinkBle,
     },
+    refusals::Refusals,
     rejected_peers::RejectedPeers,
 };
 
@@ -44,6 +45,7 @@ pub(crate) struct Node {
     identities: Mutex<Vec<ListenerIdentity>>,
     history: Mutex<History>,
     rejected_peers: Mutex<RejectedPeers>,
+    refusals: Mutex<Refusals>,
     /// Devices that have opened a channel and are neither linked nor refused yet.
     handshaking: Mutex<Vec<DeviceAddress>>,
     /// Notified whenever a handshake with one of them ends.
@@ -78,6 +80,7 @@ impl Node {
             identities: Mutex::default(),
             history: Mutex::default(),
             rejected_peers: Mutex::default(),
+            refusals: Mutex::default(),
             handshaking: Mutex::default(),
             handshake_ended: Notify::new(),
             open_links: Mutex::default(),
@@ -188,6 +191,20 @@ impl Node {
         }
     }
 
+    /// Records that a device asked for a link and got none, and logs it unless it has been logged recently.
+    pub(crate) fn on_refused(&self, device: DeviceAddress, reason: &str) {
+        let now = Instant::now().into_std();
+        let line = self.refusals.lock().on_refused(device, reason, now);
+        if let Some(line) = line {
+            tracing::warn!("ble: {line}");
+        }
+    }
+
+    /// Records that a device that asked for a link got one.
+    pub(crate) fn on_accepted(&self, device: DeviceAddress) {
+        self.refusals.lock().on_linked(device);
+    }
+
     /// Records that a device did not prove the secret.
     pub(crate) fn on_rejected(&self, device: DeviceAddress) {
         let now = Instant::now().into_std();
@@ -208,6 +225,7 @@ impl Node {
             name: self.name(),
             links: links.iter().map(|link| link.status()).collect(),
             peers: self.history.lock().status(Instant::now().into_std()),
+            refused: self.refusals.lock().status(Instant::now().into_std()),
             discovered: (adapters.iter())
                 .flat_map(|adapter| adapter.scanner.discovered())
                 .collect(),

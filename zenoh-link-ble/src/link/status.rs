@@ -4,7 +4,9 @@ use std::time::{Duration, Instant};
 use link_lanes::lanes::{report::Count, Lane, Lanes};
 use serde::Serialize;
 
-use crate::{discovered::DiscoveredStatus, link::history::PeerStatus};
+use crate::{
+    discovered::DiscoveredStatus, link::history::PeerStatus, refusals::RefusedStatus,
+};
 
 /// The `ble` links of one Zenoh runtime.
 #[derive(Clone, Debug, Serialize)]
@@ -15,6 +17,8 @@ pub struct NodeStatus {
     pub links: Vec<LinkStatus>,
     /// History of the peers that were linked or dialled.
     pub peers: Vec<PeerStatus>,
+    /// Peers that have asked for a link within the last minute and got none.
+    pub refused: Vec<RefusedStatus>,
     /// Nodes whose advertisements were received within the last minute. A node scans only while it dials, and while it
     /// searches for another robot with its name.
     pub discovered: Vec<DiscoveredStatus>,

@@ -13,7 +13,7 @@ use super::login;
 use crate::{
     args::DoctorArgs,
     commands::client::{answers, session},
-    doctor::{alerts, declarations, encryption, names, radio, Finding},
+    doctor::{alerts, declarations, encryption, names, radio, refused, Finding},
     registry::now_s,
 };
 
@@ -23,14 +23,15 @@ const MAX_SKEW_S: f64 = 2.0;
 /// Timeout for liveliness tokens.
 const TIMEOUT: Duration = Duration::from_secs(2);
 
-/// Checks the login file, the router, and everything that the router knows about the network.
-pub fn findings(args: &DoctorArgs) -> Vec<Finding> {
+/// Checks the login file, the router, and everything that the router knows about the network. Returns also the adapters of the
+/// router's Bluetooth listeners, if it answers.
+pub fn findings(args: &DoctorArgs) -> (Vec<Finding>, Option<Vec<String>>) {
     let mut findings = login::findings(&args.router.users);
     let session = match session(&args.router) {
         Ok(session) => session,
         Err(error) => {
             findings.push(Finding::wrong("router", error.what, error.advice));
-            return findings;
+            return (findings, None);
         }
     };
     findings.push(Finding::good(
@@ -39,6 +40,7 @@ pub fn findings(args: &DoctorArgs) -> Vec<Finding> {
     ));
     let robot = robot_of_router(&session, &args.fleet);
     findings.push(robot_of_programs(args, robot.as_deref()));
+    let mut adapters = None;
     if let Some(robot) = &robot {
         findings.extend(connections_file(&session, &args.fleet, robot));
         findings.push(others(&session, &args.fleet, robot));
@@ -50,10 +52,14 @@ pub fn findings(args: &DoctorArgs) -> Vec<Finding> {
         let delayed = status
             .iter()
             .find_map(|(_, status)| status["delayed_declarations"].as_u64());
+        adapters = status
+            .iter()
+            .find_map(|(_, status)| serde_json::from_value(status["adapters"].clone()).ok());
         findings.extend(declarations::finding(delayed.unwrap_or_default()));
         for (_, connections) in replies(&session, &format!("{own}/connections")) {
             findings.extend(radio::findings(&connections, may_choose));
-            findings.extend(encryption::findings(&connections));
+            findings.extend(encryption::findings(&connections, adapters.as_deref().unwrap_or_default()));
+            findings.extend(refused::findings(&connections));
         }
     }
     findings.extend(peers(&session));
@@ -61,7 +67,7 @@ pub fn findings(args: &DoctorArgs) -> Vec<Finding> {
     let statuses = replies(&session, "*/*/@rect/status");
     findings.extend(alerts::findings(&statuses));
     findings.extend(names::findings(&statuses));
-    findings
+    (findings, adapters)
 }
 
 /// Returns the robot whose router this session is connected to.
@@ -182,8 +188,7 @@ fn peers(session: &Session) -> Vec<Finding> {
                 text(&connection["address"]),
                 short_reason(why)
             );
-            let advice = "is the robot switched on and in range, and is its name correct? `rect connections` shows all connections";
-            findings.push(Finding::wrong("peer", what, advice));
+            findings.push(Finding::wrong("peer", what, refused::advice(why)));
         }
     }
     findings
