@@ -125,8 +125,9 @@ impl Connection {
     }
 }
 
-/// Zenoh's priorities that are at least as urgent as an urgent message.
-const URGENT: [&str; 3] = ["Control", "RealTime", "InteractiveHigh"];
+/// Zenoh's priorities that are at least as urgent as an urgent message, and are used for messages. Zenoh's own messages (`Control`) are
+/// acknowledged late while nothing else is sent, and say nothing about messages of programs.
+const URGENT: [&str; 2] = ["RealTime", "InteractiveHigh"];
 
 /// The sending side of a link for one of Zenoh's priorities.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -561,6 +562,26 @@ mod tests {
             matches!(&events[..], [Event::LinkDown(_), Event::LinkUp(_)]),
             "{events:?}"
         );
+    }
+
+    #[test]
+    fn an_idle_link_has_no_delay_of_urgent_messages() {
+        let lane = |priority: &str, delay_ms| LinkLane {
+            priority: priority.to_owned(),
+            waiting_bytes: 0,
+            delay_ms,
+            dropped_batches: 0,
+        };
+        let delay = |lanes: &[LinkLane]| {
+            let mut link = connection("any", "b", ConnectionState::Connected);
+            link.lanes = Some(lanes.to_vec());
+            link.urgent_delay_ms()
+        };
+        let control = lane("Control", Some(900.0));
+        assert_eq!(delay(&[control.clone()]), None);
+        assert_eq!(delay(&[control.clone(), lane("Data", Some(20.0))]), None);
+        let urgent = lane("InteractiveHigh", Some(12.0));
+        assert_eq!(delay(&[control, lane("RealTime", None), urgent]), Some(12.0));
     }
 
     #[test]
