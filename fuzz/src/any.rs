@@ -11,6 +11,7 @@ use zenoh_link_any::{
 use link_lanes::lanes::Lane;
 
 const OPTIONS: Options = Options {
+    is_encrypted: true,
     max_batch: 300,
     bounds: Bounds {
         bytes: 100_000,

@@ -38,6 +38,7 @@ targets! {
     selector,
     state,
     transfer,
+    usage,
     video,
 }
 

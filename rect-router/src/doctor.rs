@@ -6,6 +6,7 @@ pub mod encryption;
 pub mod names;
 pub mod radio;
 pub mod refused;
+pub mod slow_link;
 pub mod system;
 
 use std::path::Path;

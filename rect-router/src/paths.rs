@@ -98,7 +98,8 @@ pub fn traffic(count: Count) -> Traffic {
     }
 }
 
-fn method(medium: Medium) -> &'static str {
+/// Returns the method of the paths over a medium.
+pub fn method(medium: Medium) -> &'static str {
     match medium {
         Medium::Bluetooth => "ble",
         Medium::Network => "tcp",

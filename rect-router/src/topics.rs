@@ -4,8 +4,12 @@
 //! A query makes the router count messages, by a subscription to the robot's own keys. They are published at this router, so
 //! that the subscription causes no traffic over the air. It ends a few seconds after the last query.
 //!
+//! The robot's slow links count what they send for each topic from the same questions on (`usage`).
+//!
 //! Zenoh's admin space would list declared publishers without a subscription. It is not used, because such a query can stop a
 //! router of Zenoh 1.10 for good (`tests/upstream/admin_space_freeze.py`).
+mod usage;
+
 use std::{
     sync::{
         mpsc::{Receiver, RecvTimeoutError},
@@ -111,7 +115,13 @@ impl TopicService {
         });
         let topic = question.topic.as_deref();
         let counted = measurement.counter.lock().report(now, topic);
-        Ok(counted.with_retained((self.retained)(), topic))
+        let topics = counted.with_retained((self.retained)(), topic);
+        let (fleet, robot) = self.own.split_once('/').unwrap_or_default();
+        let of_robot = topic.map(|topic| format!("{robot}/{topic}"));
+        Ok(Topics {
+            links: usage::usage(fleet, question.keep, of_robot.as_deref()),
+            ..topics
+        })
     }
 
     fn start(&self, now: Instant) -> zenoh::Result<Measurement> {

@@ -29,6 +29,7 @@ use link_lanes::{
     hello::Hello,
     key_agreement::Exporter,
     lanes::{sdu::Protection, Lane},
+    usage::keys::{self, Side},
 };
 use parking_lot::Mutex;
 use tokio_util::sync::CancellationToken;
@@ -52,7 +53,7 @@ use crate::{
         number::LinkNumber,
         path::AgreedPath,
         plain::Plain,
-        status::LinkStatus,
+        status::{LinkStatus, LinkUsage},
         traffic::{Tasks, Traffic, TrafficOptions},
     },
     locator::{Queueing, BLE_LOCATOR_PREFIX},
@@ -297,6 +298,23 @@ impl LinkBle {
         }
     }
 
+    /// Returns what the link has sent for each key: see [`Traffic::usage`]. Returns `None` if it carries no batches of Zenoh, or has
+    /// no lanes.
+    pub(crate) fn usage(&self, keep: Duration) -> Option<LinkUsage> {
+        let Batches::Lanes { traffic, .. } = &self.batches else {
+            return None;
+        };
+        if self.path.is_some() {
+            return None;
+        }
+        let (report, rate_per_s) = traffic.usage(keep);
+        Some(LinkUsage {
+            peer: self.dst.address().as_str().to_owned(),
+            report,
+            rate_per_s,
+        })
+    }
+
     /// Sets the connection interval of the link, of which this node is the central, and announces it to the peer.
     pub(crate) async fn set_interval(&self, interval: ConnectionInterval) {
         let radio = &self.adapter.radio;
@@ -325,6 +343,9 @@ impl LinkBle {
         priority: Option<Priority>,
         batch: &[u8],
     ) -> Result<(), BleError> {
+        if priority == Some(Priority::Control) {
+            self.on_declarations(Side::Own, batch);
+        }
         match (&self.batches, priority) {
             (
                 Batches::Lanes {
@@ -343,6 +364,15 @@ impl LinkBle {
         }
     }
 
+    /// Keeps the keys that a batch of Zenoh's own messages declares.
+    fn on_declarations(&self, from: Side, batch: &[u8]) {
+        if let Batches::Lanes { traffic, .. } = &self.batches {
+            if keys::may_declare(batch) {
+                traffic.on_declarations(from, batch);
+            }
+        }
+    }
+
     /// Restores a batch of Zenoh's own messages.
     async fn restored(&self, batch: Vec<u8>) -> Result<Vec<u8>, BleError> {
         let Batches::Lanes {
@@ -356,7 +386,10 @@ impl LinkBle {
         let max = usize::from(self.mtu);
         let restored = decompressor.lock().decompress(batch, max);
         match restored {
-            Ok(batch) => Ok(batch),
+            Ok(batch) => {
+                self.on_declarations(Side::Peer, &batch);
+                Ok(batch)
+            }
             Err(error) => Err(traffic.end_for(error.into()).await),
         }
     }

@@ -1,6 +1,9 @@
 //! Reports the state of all `ble` links of the process: links, lanes, peers and discovered nodes. Zenoh creates the link
 //! managers and does not expose them, so the nodes are kept in a list for the whole process.
-use std::sync::{Arc, Weak};
+use std::{
+    sync::{Arc, Weak},
+    time::Duration,
+};
 
 use parking_lot::Mutex;
 
@@ -11,7 +14,7 @@ pub use crate::{
     refusals::RefusedStatus,
     link::{
         history::{Event, PeerStatus},
-        status::{LaneStatus, LanesStatus, LinkStatus, NodeStatus},
+        status::{LaneStatus, LanesStatus, LinkStatus, LinkUsage, NodeStatus},
     },
 };
 
@@ -21,6 +24,13 @@ static NODES: Mutex<Vec<Weak<Node>>> = Mutex::new(Vec::new());
 pub fn nodes() -> Vec<NodeStatus> {
     let nodes: Vec<_> = NODES.lock().iter().filter_map(Weak::upgrade).collect();
     nodes.iter().map(|node| node.status()).collect()
+}
+
+/// Returns what each link of this process has sent for each key. The links count from the first question on until `keep` after the
+/// last one.
+pub fn usage(keep: Duration) -> Vec<LinkUsage> {
+    let nodes: Vec<_> = NODES.lock().iter().filter_map(Weak::upgrade).collect();
+    nodes.iter().flat_map(|node| node.usage(keep)).collect()
 }
 
 /// Cancels all `ble` dials of this process and prevents new ones. It is for a program that is about to exit: Zenoh

@@ -35,6 +35,7 @@ use self::{
     scheduler::{Bounds, Scheduler, Sent},
     sdu::{Content, Protection},
 };
+use crate::usage::{keys::KeyTable, Usage};
 
 /// Number of lanes of a link in each direction: one for each of Zenoh's priorities.
 pub const LANES: usize = Priority::NUM;
@@ -219,6 +220,16 @@ impl Lanes {
     /// Returns the number of bytes that may wait on a lane before the lane accepts another message that must arrive.
     pub fn backlog_limit_bytes(&self) -> usize {
         self.out.backlog_limit_bytes()
+    }
+
+    /// Returns the keys that Zenoh has declared on the link.
+    pub fn keys(&mut self) -> &mut KeyTable {
+        self.out.keys()
+    }
+
+    /// Returns what was sent for each key.
+    pub fn usage(&mut self) -> &mut Usage {
+        self.out.usage()
     }
 
     /// Returns the state and the counts of a lane, for sending and for receiving.

@@ -5,7 +5,10 @@ use std::{process::ExitCode, time::Duration};
 use clap::{Args, Subcommand};
 use rect::{Name, Payload, Robot, RobotTopic, Topic};
 use rect_core::{
-    registry::topics::{TopicReport, Topics, WINDOW},
+    registry::{
+        topics::{TopicReport, Topics, MAX_TOPICS, WINDOW},
+        usage::{on_air, percent, LinkUsage},
+    },
     text::{
         display::line,
         humanize::{bytes, duration},
@@ -171,7 +174,9 @@ pub async fn run(arguments: TopicArguments) -> Done {
                 return Err(not_published(&topic));
             };
             if measured.json {
-                terminal::json(&report_as_json(report))?;
+                let mut json = report_as_json(report);
+                json["links"] = links_as_json(&topics.links);
+                terminal::json(&json)?;
             } else {
                 info(&topic, &topics, report);
             }
@@ -247,7 +252,12 @@ async fn measure(
 }
 
 fn list(answers: &[(String, Topics)]) {
-    let mut columns = vec!["TOPIC", "RATE", "?BYTES/S", "?LAST", "?ENCODING"];
+    let mut columns = vec!["TOPIC", "RATE", "?BYTES/S"];
+    let has_links = links(answers).next().is_some();
+    if has_links {
+        columns.push("ON AIR/S");
+    }
+    columns.extend(["?LAST", "?ENCODING"]);
     let reports = || answers.iter().flat_map(|(_, topics)| &topics.topics);
     let has_losses = reports().any(|report| report.lost > 0);
     let has_retained = reports().any(|report| report.is_retained);
@@ -266,9 +276,16 @@ fn list(answers: &[(String, Topics)]) {
                 Cell::styled(Style::Name, format!("{robot}/{}", report.topic)),
                 format!("{:.1} Hz", report.hz).into(),
                 bytes(report.bytes_per_s).into(),
-                bytes(report.last_bytes).into(),
-                report.encoding.as_str().into(),
             ];
+            if has_links {
+                let topic = format!("{robot}/{}", report.topic);
+                cells.push(match on_air(links(answers), &topic) {
+                    0 => "".into(),
+                    sent => bytes(sent).into(),
+                });
+            }
+            cells.push(bytes(report.last_bytes).into());
+            cells.push(report.encoding.as_str().into());
             if has_losses {
                 cells.push(report.lost.to_string().into());
             }
@@ -279,9 +296,22 @@ fn list(answers: &[(String, Topics)]) {
         }
     }
     table.print();
-    if more > 0 {
-        rect_terminal::errln!("rect: {more} more topics are not listed");
+    for (robot, topics) in answers {
+        for link in topics.links.iter().filter(|link| link.is_slow()) {
+            let robot = line(robot);
+            rect_terminal::outln!("{robot} sends over {}", link.in_words(&robot));
+        }
     }
+    if more > 0 {
+        rect_terminal::errln!(
+            "rect: {more} more topics are not listed: the router of a robot counts at most {MAX_TOPICS}"
+        );
+    }
+}
+
+/// Returns what the links of all robots have sent.
+fn links(answers: &[(String, Topics)]) -> impl Iterator<Item = &LinkUsage> {
+    answers.iter().flat_map(|(_, topics)| &topics.links)
 }
 
 async fn hz(
@@ -330,6 +360,16 @@ fn info(topic: &RobotTopic, topics: &Topics, report: &TopicReport) {
     let RobotTopic { robot, topic } = topic;
     rect_terminal::outln!("topic:    {robot}/{}", line(topic.as_str()));
     rect_terminal::outln!("rate:     {}", rate(report, topics.window_s));
+    let name = format!("{robot}/{}", report.topic);
+    for link in &topics.links {
+        if let Some(sent) = link.topic(&name) {
+            let share = (sent.share).map_or_else(String::new, |share| {
+                format!(", {} of what it carries", percent(share))
+            });
+            let sent = bytes(sent.bytes_per_s);
+            rect_terminal::outln!("on air:   {sent}/s over {}{share}", link.name());
+        }
+    }
     rect_terminal::outln!("encoding: {}", line(&report.encoding));
     rect_terminal::outln!("last:     {}", bytes(report.last_bytes));
     rect_terminal::outln!("lost:     {}", report.lost);
@@ -344,7 +384,19 @@ fn as_json(topics: &Topics) -> serde_json::Value {
         "window_s": topics.window_s,
         "topics": topics.topics.iter().map(report_as_json).collect::<Vec<_>>(),
         "more": topics.more,
+        "links": links_as_json(&topics.links),
     })
+}
+
+/// Returns what links have sent as JSON with field names.
+fn links_as_json(links: &[LinkUsage]) -> serde_json::Value {
+    let links = links.iter().map(|link| {
+        let sent = link.sent.iter().map(|sent| {
+            json!({"topic": sent.topic, "bytes_per_s": sent.bytes_per_s, "share": sent.share})
+        });
+        json!({"link": link.link, "path": link.path, "sent": sent.collect::<Vec<_>>()})
+    });
+    links.collect()
 }
 
 /// Returns a report as JSON with field names, which the router's compact reply omits.

@@ -8,6 +8,7 @@ pub mod programs;
 pub mod selector;
 pub mod servers_query;
 pub mod topics;
+pub mod usage;
 
 use std::time::{Duration, Instant};
 

@@ -11,6 +11,7 @@ use async_trait::async_trait;
 use link_lanes::{
     compression::{Compressor, Decompressor},
     lanes::Lane,
+    usage::keys::Side,
 };
 use parking_lot::Mutex;
 use tokio::time::Instant;
@@ -65,6 +66,9 @@ impl LinkAny {
 
     /// Sends a batch. Those of Zenoh's own messages are compressed, except in its handshake, when it gives no priority.
     async fn send(&self, priority: Option<Priority>, batch: &[u8]) -> Result<(), AnyError> {
+        if priority == Some(Priority::Control) {
+            self.shared.on_declarations(Side::Own, batch);
+        }
         match (&self.compressor, priority) {
             (Some(compressor), Some(Priority::Control)) => {
                 let mut compressor = compressor.lock().await;
@@ -84,10 +88,12 @@ impl LinkAny {
         }
         let max = usize::from(self.shared.max_batch());
         let restored = self.decompressor.lock().decompress(batch, max);
-        restored.map_err(|error| {
+        let restored = restored.map_err(|error| {
             self.shared.fail(self.shared.protocol(&error));
             self.shared.protocol(&error)
-        })
+        })?;
+        self.shared.on_declarations(Side::Peer, &restored);
+        Ok(restored)
     }
 }
 

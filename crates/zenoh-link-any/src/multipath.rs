@@ -14,12 +14,15 @@ use std::{
     time::{Duration, Instant},
 };
 
-use link_lanes::lanes::{
-    backlog::{self, Limits},
-    batch_kind::BatchKind,
-    report::Count,
-    scheduler::RESERVED_BYTES_PER_LANE,
-    Lane, LANES,
+use link_lanes::{
+    lanes::{
+        backlog::{self, Limits},
+        batch_kind::BatchKind,
+        report::Count,
+        scheduler::RESERVED_BYTES_PER_LANE,
+        sdu, Lane, LANES,
+    },
+    usage::{keys::KeyTable, Size, Usage, UsageReport},
 };
 
 use crate::{
@@ -27,6 +30,7 @@ use crate::{
     in_lane::InLane,
     out_lane::OutLane,
     path::{Medium, Path, PathState},
+    proof::SEAL_BYTES,
 };
 
 pub use crate::out_lane::LaneReport;
@@ -51,6 +55,8 @@ const BETTER: f64 = 0.7;
 const BETTER_FOR: Duration = Duration::from_millis(300);
 /// How long nothing may arrive from a peer that has the link: longer than the time between two of Zenoh's keep-alives, 2.5 s.
 const SILENCE: Duration = Duration::from_secs(3);
+/// Number of bytes before a frame on a network, which contain its length.
+const FRAME_LENGTH_BYTES: usize = 2;
 /// The largest backlog of a lane, in bytes. More would occupy memory without making a fast network faster.
 const MAX_BACKLOG_BYTES: usize = 2_500_000;
 
@@ -108,6 +114,9 @@ pub struct Multipath {
     /// Number of batches and bytes that were accepted, and taken.
     sent: Count,
     received: Count,
+    /// The keys that Zenoh has declared on the link, and what was sent for each, over each medium.
+    keys: KeyTable,
+    usage: BTreeMap<Medium, Usage>,
 }
 
 impl Multipath {
@@ -134,6 +143,8 @@ impl Multipath {
             wakeups: 0,
             sent: Count::default(),
             received: Count::default(),
+            keys: KeyTable::default(),
+            usage: BTreeMap::new(),
         }
     }
 
@@ -294,6 +305,8 @@ impl Multipath {
             }
             .encode(frame);
             path.sent_bytes += frame.len() as u64;
+            let medium = path.medium;
+            self.count_own(medium, frame.len(), now);
             return Some(Lane::first());
         }
         if let (Some(reason), true) = (self.closing, is_finished) {
@@ -307,6 +320,8 @@ impl Multipath {
         if path.ping_at().is_some_and(|at| at <= now) {
             Frame::Ping.encode(frame);
             path.on_ping_sent(frame.len(), now);
+            let medium = path.medium;
+            self.count_own(medium, frame.len(), now);
             return Some(Lane::first());
         }
         if path.is_live() {
@@ -365,6 +380,23 @@ impl Multipath {
         out.append_to(&range, frame);
         out.on_sent(&range);
         path.on_sent(Some((lane, range.clone())), frame.len(), is_keep_alive, now);
+        let overhead = overhead(path.medium, self.options.is_encrypted);
+        if let Some(usage) = self.usage.get_mut(&path.medium) {
+            // The first batch of a frame, or the one before, counts with what is added to the frame.
+            let (mut cost, mut added) = (DATA_HEAD_BYTES, DATA_HEAD_BYTES + overhead);
+            for (batch, bytes) in out.starting_in(&range) {
+                let size = Size {
+                    bytes: (bytes + std::mem::take(&mut added)) as u64,
+                    cost: (bytes + std::mem::take(&mut cost)) as u64,
+                };
+                usage.on_batch(&self.keys, lane, batch, size, now);
+            }
+            let size = Size {
+                bytes: added as u64,
+                cost: cost as u64,
+            };
+            usage.on_more(lane, size, now);
+        }
         if is_new {
             let copied = out.copied_in(&range);
             let others = self.paths.iter_mut().filter(|(other, _)| **other != id);
@@ -450,6 +482,7 @@ impl Multipath {
                 state: path.state(),
                 is_primary: self.primary == Some(*id),
                 rate_bytes_per_s: path.rate_bytes_per_s(),
+                is_measured: path.is_measured(),
                 round_trip: path.round_trip(),
                 sent_bytes: path.sent_bytes,
                 resent_bytes: path.resent_bytes,
@@ -489,6 +522,36 @@ impl Multipath {
     /// Returns the number of bytes that arrived a second time.
     pub fn repeated_bytes(&self) -> u64 {
         self.into.iter().map(InLane::repeated_bytes).sum()
+    }
+
+    /// Returns the keys that Zenoh has declared on the link.
+    pub fn keys(&mut self) -> &mut KeyTable {
+        &mut self.keys
+    }
+
+    /// Returns what was sent over each medium for each key, which is counted from the first question on until `keep` after the last
+    /// one.
+    pub fn usage(&mut self, now: Instant, keep: Duration) -> BTreeMap<Medium, UsageReport> {
+        let media = self.paths.values().map(|path| path.medium);
+        for medium in media {
+            self.usage.entry(medium).or_default();
+        }
+        let usage = self.usage.iter_mut();
+        usage
+            .map(|(medium, usage)| (*medium, usage.ask(now, keep)))
+            .collect()
+    }
+
+    /// Counts a frame of the link itself.
+    fn count_own(&mut self, medium: Medium, frame_bytes: usize, now: Instant) {
+        let bytes = frame_bytes + overhead(medium, self.options.is_encrypted);
+        if let Some(usage) = self.usage.get_mut(&medium) {
+            let size = Size {
+                bytes: bytes as u64,
+                cost: frame_bytes as u64,
+            };
+            usage.on_own(size, now);
+        }
     }
 
     fn on_close_sent(&mut self) {
@@ -616,6 +679,14 @@ impl Multipath {
                 _ => backlog::limit_bytes(slowest, bounds.backlog).min(MAX_BACKLOG_BYTES),
             },
         }
+    }
+}
+
+/// Returns the number of bytes that a medium adds to a frame.
+fn overhead(medium: Medium, is_encrypted: bool) -> usize {
+    match medium {
+        Medium::Bluetooth => sdu::overhead(is_encrypted),
+        Medium::Network => FRAME_LENGTH_BYTES + SEAL_BYTES,
     }
 }
 

@@ -251,6 +251,22 @@ impl OutLane {
         }
     }
 
+    /// Returns the batches that begin within these bytes: each with its number of bytes in the stream, which includes its length.
+    pub(crate) fn starting_in<'a>(
+        &'a self,
+        range: &'a Range<u64>,
+    ) -> impl Iterator<Item = (&'a [u8], usize)> {
+        let first = self
+            .batches
+            .partition_point(|batch| batch.start < range.start);
+        let batches = self.batches.range(first..);
+        let within = batches.take_while(|batch| batch.start < range.end);
+        within.map(|batch| {
+            let content = batch_length::decode(&batch.bytes).map_or(0, |(_, size)| size);
+            (&batch.bytes[content..], batch.bytes.len())
+        })
+    }
+
     /// Returns the position of the first byte that is kept.
     fn start(&self) -> u64 {
         self.batches.front().map_or(self.end, |batch| batch.start)

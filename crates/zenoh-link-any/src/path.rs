@@ -182,6 +182,11 @@ impl Path {
         self.estimate.rate_bytes_per_s().unwrap_or(assumed)
     }
 
+    /// Returns whether the rate was measured.
+    pub(crate) fn is_measured(&self) -> bool {
+        self.estimate.rate_bytes_per_s().is_some()
+    }
+
     /// Returns the mean round trip, if it was measured.
     pub(crate) fn round_trip(&self) -> Option<Duration> {
         self.rtt.mean()

@@ -1,6 +1,6 @@
 //! The state of one link, which Zenoh and the tasks of its paths share.
 use std::{
-    collections::HashMap,
+    collections::{BTreeMap, HashMap},
     future::Future,
     net::{IpAddr, SocketAddr},
     sync::Arc,
@@ -10,6 +10,10 @@ use std::{
 use link_lanes::{
     hello::NodeId,
     lanes::{report::Count, Lane, LANES},
+    usage::{
+        keys::{self, Side},
+        UsageReport,
+    },
 };
 use parking_lot::Mutex;
 use tokio::{
@@ -104,6 +108,10 @@ impl Shared {
         options: Options,
     ) -> Arc<Self> {
         let now = Instant::now();
+        let options = Options {
+            is_encrypted: proof.is_some(),
+            ..options
+        };
         Arc::new(Self {
             id,
             peer,
@@ -244,6 +252,19 @@ impl Shared {
     pub(crate) fn switches(&self) -> (u64, Option<Switch>) {
         let multipath = &self.state.lock().multipath;
         (multipath.switches(), multipath.last_switch())
+    }
+
+    /// Keeps the keys that a batch of Zenoh's own messages declares.
+    pub(crate) fn on_declarations(&self, from: Side, batch: &[u8]) {
+        if keys::may_declare(batch) {
+            self.state.lock().multipath.keys().on_batch(from, batch);
+        }
+    }
+
+    /// Returns what was sent over each medium for each key: see [`Multipath::usage`].
+    pub(crate) fn usage(&self, keep: Duration) -> BTreeMap<Medium, UsageReport> {
+        let now = Instant::now().into_std();
+        self.state.lock().multipath.usage(now, keep)
     }
 
     /// Queues a batch on its lane. Waits while there is no room.

@@ -1,11 +1,15 @@
 //! Reports the state of all `any` links of the process.
 use std::time::Duration;
 
-use link_lanes::lanes::{report::Count, Lane};
+use link_lanes::{
+    lanes::{report::Count, Lane},
+    usage::UsageReport,
+};
 
 use crate::{
     hub::Hub,
     multipath::{LaneReport, PathReport, Switch},
+    path::Medium,
 };
 
 /// The state of a link.
@@ -31,6 +35,40 @@ pub struct LinkStatus {
     pub switches: u64,
     /// The last time it was.
     pub last_switch: Option<Switch>,
+}
+
+/// What a link has sent over one medium for each key.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LinkUsage {
+    /// The peer.
+    pub peer: String,
+    /// The medium.
+    pub medium: Medium,
+    /// What was counted.
+    pub report: UsageReport,
+    /// Rate of the medium while there is enough to send, per second in the unit of the costs in the report, if it was measured.
+    pub rate_per_s: Option<f64>,
+}
+
+/// Returns what each link of this process has sent for each key. The links count from the first question on until `keep` after the
+/// last one.
+pub fn usage(keep: Duration) -> Vec<LinkUsage> {
+    let links: Vec<_> = Hub::all().iter().flat_map(|hub| hub.links()).collect();
+    let mut usage = Vec::new();
+    for link in links {
+        let paths = link.paths();
+        for (medium, report) in link.usage(keep) {
+            let measured = |path: &&PathReport| path.medium == medium && path.is_measured;
+            let measured = paths.iter().find(measured);
+            usage.push(LinkUsage {
+                peer: link.peer.clone(),
+                medium,
+                report,
+                rate_per_s: measured.map(|path| path.rate_bytes_per_s),
+            });
+        }
+    }
+    usage
 }
 
 /// Returns the state of each link.

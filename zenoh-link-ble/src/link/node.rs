@@ -2,6 +2,7 @@
 use std::{
     collections::HashMap,
     sync::{Arc, Weak},
+    time::Duration,
 };
 
 use link_lanes::{hello::NodeId, secret::Secret};
@@ -19,8 +20,13 @@ use zenoh_link_commons::NewLinkChannelSender;
 use crate::{
     adapter::Adapter,
     link::{
-        history::History, number::LinkNumber, open_links::OpenLinks, path::AcceptPaths,
-        status::NodeStatus, table::LinkTable, LinkBle,
+        history::History,
+        number::LinkNumber,
+        open_links::OpenLinks,
+        path::AcceptPaths,
+        status::{LinkUsage, NodeStatus},
+        table::LinkTable,
+        LinkBle,
     },
     refusals::Refusals,
     rejected_peers::RejectedPeers,
@@ -230,6 +236,12 @@ impl Node {
                 .flat_map(|adapter| adapter.scanner.discovered())
                 .collect(),
         }
+    }
+
+    /// Returns what the node's links have sent for each key.
+    pub(crate) fn usage(&self, keep: Duration) -> Vec<LinkUsage> {
+        let links = self.open_links.lock().all();
+        links.iter().filter_map(|link| link.usage(keep)).collect()
     }
 
     /// Removes a link, and notifies the dials that wait for its end.

@@ -1,7 +1,10 @@
 //! Defines what a node reports about its links and their lanes.
 use std::time::{Duration, Instant};
 
-use link_lanes::lanes::{report::Count, Lane, Lanes};
+use link_lanes::{
+    lanes::{report::Count, Lane, Lanes},
+    usage::UsageReport,
+};
 use serde::Serialize;
 
 use crate::{
@@ -47,6 +50,17 @@ pub struct LinkStatus {
     pub received: Count,
     /// State of the lanes. A link with a plain peer has none.
     pub lanes: Option<LanesStatus>,
+}
+
+/// What a link has sent for each key.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LinkUsage {
+    /// Name of the peer, or its address if it has no name.
+    pub peer: String,
+    /// What was counted.
+    pub report: UsageReport,
+    /// Rate of the path while there is enough to send, per second in the unit of the costs in the report, once it was measured.
+    pub rate_per_s: Option<f64>,
 }
 
 /// The lanes of a link, and the path to the peer that they share.

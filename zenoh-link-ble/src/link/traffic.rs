@@ -12,6 +12,7 @@ use link_lanes::{
         sdu::Protection,
         Change, Lane, Lanes, LANES,
     },
+    usage::{keys::Side, UsageReport},
 };
 use parking_lot::Mutex;
 use tokio::{sync::Notify, time::Instant};
@@ -300,6 +301,19 @@ impl Traffic {
     /// Returns the state of the lanes, and the totals of what was sent and received.
     pub(crate) fn status(&self) -> (LanesStatus, Count, Count) {
         LanesStatus::of(&self.state.lock().lanes, Instant::now().into_std())
+    }
+
+    /// Keeps the keys that a batch of Zenoh's own messages declares.
+    pub(crate) fn on_declarations(&self, from: Side, batch: &[u8]) {
+        self.state.lock().lanes.keys().on_batch(from, batch);
+    }
+
+    /// Returns what was sent for each key, which is counted from the first question on until `keep` after the last one; and the
+    /// rate of the path, once it was measured.
+    pub(crate) fn usage(&self, keep: Duration) -> (UsageReport, Option<f64>) {
+        let mut state = self.state.lock();
+        let report = (state.lanes.usage()).ask(Instant::now().into_std(), keep);
+        (report, state.lanes.path().rate_bytes_per_s())
     }
 
     /// Sends SDUs until the goodbye is sent or the link has ended.

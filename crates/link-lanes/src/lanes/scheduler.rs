@@ -16,6 +16,7 @@ use super::{
     sdu::{Content, Sealer, HEAD_BYTES},
     Lane, LANES,
 };
+use crate::usage::{keys::KeyTable, Size, Usage};
 
 /// The limits of what may wait on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -168,6 +169,9 @@ pub struct Scheduler {
     sealer: Sealer,
     /// The SDU that is being sealed, kept for its memory.
     sealed: Vec<u8>,
+    /// The keys that Zenoh has declared on the link, and what was sent for each.
+    keys: KeyTable,
+    usage: Usage,
 }
 
 impl Scheduler {
@@ -198,6 +202,8 @@ impl Scheduler {
             path: Path::default(),
             sealer,
             sealed: Vec::new(),
+            keys: KeyTable::default(),
+            usage: Usage::default(),
         }
     }
 
@@ -303,10 +309,23 @@ impl Scheduler {
 
     fn on_sent(&mut self, sent: Next, now: Instant) {
         match sent {
-            Next::Signal => drop(self.signals.pop_front()),
+            Next::Signal => {
+                if let Some(signal) = self.signals.pop_front() {
+                    // The peer's credits do not limit signals.
+                    let bytes = signal.len() - HEAD_BYTES + self.sealer.overhead();
+                    self.usage.on_own(
+                        Size {
+                            bytes: bytes as u64,
+                            cost: 0,
+                        },
+                        now,
+                    );
+                }
+            }
             Next::Goodbye => self.end = End::Finished,
             Next::Batch(lane) => {
-                let out = self.lane(lane);
+                // A `Lane` is always less than LANES.
+                let out = &mut self.lanes[lane.index()];
                 if let Some(batch) = out.queue.pop_front() {
                     out.sent.count(batch.sdu.len() - HEAD_BYTES);
                     out.wait.add(now.saturating_duration_since(batch.since));
@@ -319,6 +338,12 @@ impl Scheduler {
                     self.flight.on_sent(lane, cost, allowance.sent(), now);
                     self.ack_timer.on_sent(allowance.unacknowledged(), now);
                     self.path.on_sent(now);
+                    let zenoh = &batch.sdu[HEAD_BYTES..];
+                    let size = Size {
+                        bytes: (zenoh.len() + self.sealer.overhead()) as u64,
+                        cost: cost.into(),
+                    };
+                    self.usage.on_batch(&self.keys, lane, zenoh, size, now);
                 }
                 if self.is_empty() {
                     self.path.on_idle();
@@ -378,6 +403,16 @@ impl Scheduler {
     /// Returns the measured properties of the path to the peer.
     pub fn path(&self) -> &Path {
         &self.path
+    }
+
+    /// Returns the keys that Zenoh has declared on the link.
+    pub fn keys(&mut self) -> &mut KeyTable {
+        &mut self.keys
+    }
+
+    /// Returns what was sent for each key.
+    pub fn usage(&mut self) -> &mut Usage {
+        &mut self.usage
     }
 
     /// Decides which SDU is sent next: signals first, then the most urgent batch that may be sent, then the goodbye.

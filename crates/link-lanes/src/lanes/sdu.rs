@@ -185,6 +185,11 @@ impl Sealer {
             Self::Key(key) => key.seal(sdu, send),
         }
     }
+
+    /// Returns the number of bytes that an SDU has in addition to its batch.
+    pub fn overhead(&self) -> usize {
+        overhead(matches!(self, Self::Key(_)))
+    }
 }
 
 /// Verifies the trailers of the peer's SDUs.

@@ -1,18 +1,22 @@
 //! Counts the messages of a robot's topics for its router, and builds the router's answers about them. The caller
 //! passes the time. docs/reference/registry.md describes the form of the answers.
 use std::{
-    collections::{BTreeMap, VecDeque},
+    collections::{BTreeMap, BTreeSet, VecDeque},
+    hash::{DefaultHasher, Hash, Hasher},
     time::{Duration, Instant},
 };
 
 use serde::{Deserialize, Serialize};
 
+use super::usage::LinkUsage;
 use crate::message::sequence::{Order, Sequence};
 
 /// The time before a question over which rates are measured.
 pub const WINDOW: Duration = Duration::from_secs(5);
-/// The maximum number of topics that are counted individually. For further topics, only their existence is reported.
+/// The maximum number of topics that are counted individually. Of further topics, only their number is reported.
 pub const MAX_TOPICS: usize = 256;
+/// The largest number of further topics that is reported.
+const MAX_MORE: usize = 10_000;
 /// The number of parts into which the window is divided.
 const BUCKETS: u32 = 10;
 const BUCKET: Duration = Duration::from_millis(500);
@@ -42,8 +46,10 @@ pub struct Topics {
     pub window_s: f64,
     /// The topics, in the order of their names.
     pub topics: Vec<TopicReport>,
-    /// The number of topics that are not in the list. All topics that could not be counted individually add 1 in total.
+    /// The number of topics that are not in the list.
     pub more: usize,
+    /// What the robot's slow links have sent, also for other robots.
+    pub links: Vec<LinkUsage>,
 }
 
 /// The form of an answer in JSON.
@@ -56,6 +62,8 @@ struct Document {
     /// The positions in `topics` of those that are retained. They are not in the rows, whose lengths are fixed.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     retained: Vec<usize>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    links: Vec<LinkUsage>,
 }
 
 impl From<Document> for Topics {
@@ -72,6 +80,7 @@ impl From<Document> for Topics {
             window_s: document.window_s,
             topics,
             more: document.more,
+            links: document.links,
         }
     }
 }
@@ -85,6 +94,7 @@ impl From<Topics> for Document {
             retained: retained.map(|(at, _)| at).collect(),
             topics: topics.topics.into_iter().map(Row::from).collect(),
             more: topics.more,
+            links: topics.links,
         }
     }
 }
@@ -193,8 +203,8 @@ impl From<TopicReport> for Row {
 pub struct Counter {
     start: Instant,
     topics: BTreeMap<String, Counted>,
-    /// The number of messages whose topic could not be counted individually.
-    uncounted: u64,
+    /// The hashes of the topics that could not be counted individually, because of the limit or their length.
+    uncounted: BTreeSet<u64>,
 }
 
 #[derive(Debug, Default)]
@@ -226,7 +236,7 @@ impl Counter {
         Self {
             start: now,
             topics: BTreeMap::new(),
-            uncounted: 0,
+            uncounted: BTreeSet::new(),
         }
     }
 
@@ -242,7 +252,11 @@ impl Counter {
         let number = self.bucket(now);
         let is_counted = self.topics.contains_key(topic);
         if !is_counted && (self.topics.len() >= MAX_TOPICS || topic.len() > MAX_TOPIC_BYTES) {
-            self.uncounted += 1;
+            if self.uncounted.len() < MAX_MORE {
+                let mut hasher = DefaultHasher::new();
+                topic.hash(&mut hasher);
+                self.uncounted.insert(hasher.finish());
+            }
             return;
         }
         if !is_counted {
@@ -274,7 +288,8 @@ impl Counter {
         Topics {
             window_s: tenths(window.as_secs_f64()),
             topics: topics.collect(),
-            more: usize::from(self.uncounted > 0),
+            more: self.uncounted.len(),
+            links: Vec::new(),
         }
     }
 
@@ -564,7 +579,7 @@ mod tests {
         }
         let report = counter.report(start + 2 * MS, None);
         assert_eq!(report.topics.len(), MAX_TOPICS);
-        assert_eq!(report.more, 1, "there are more than that");
+        assert_eq!(report.more, MAX_TOPICS + 1);
         assert!(counter
             .topics
             .values()

@@ -12,6 +12,8 @@ pub struct Options {
     pub bounds: Bounds,
     /// How long the link stays open without a path that works.
     pub lease: Duration,
+    /// Whether all paths are encrypted. Matters only for the count of what they carry.
+    pub is_encrypted: bool,
 }
 
 impl Default for Options {
@@ -24,6 +26,7 @@ impl Default for Options {
                 droppable: Duration::from_millis(100),
             },
             lease: Duration::from_secs(10),
+            is_encrypted: true,
         }
     }
 }

@@ -90,6 +90,8 @@ pub struct PathReport {
     pub is_primary: bool,
     /// The rate, measured or assumed, in bytes per second.
     pub rate_bytes_per_s: f64,
+    /// Whether the rate was measured.
+    pub is_measured: bool,
     /// The mean round trip, if it was measured.
     pub round_trip: Option<Duration>,
     /// Number of bytes sent.

@@ -427,3 +427,23 @@ fn arrivals_continue_on_bluetooth_when_the_network_falls_silent() {
         .iter()
         .any(|arrival| arrival.medium == Medium::Network));
 }
+
+#[test]
+fn what_each_medium_carries_is_counted_with_second_copies() {
+    let mut world = World::new();
+    world.connect(BLUETOOTH);
+    world.connect(NETWORK);
+    let keep = Duration::from_secs(60);
+    world.ends[0].usage(world.now, keep);
+    let mut talks = Default::default();
+    talk(&mut world, &mut talks, Duration::from_secs(3), true);
+    finish(&mut world, &mut talks, "two media");
+    assert_eq!(primary_of(&world.ends[0]), Some(Medium::Network));
+    let counted = world.ends[0].usage(world.now, keep);
+    for (_, path) in world.ends[0].paths() {
+        let sizes = counted[&path.medium].sent.iter();
+        let frames: u64 = sizes.map(|(_, size)| size.cost).sum();
+        let share = frames as f64 / path.sent_bytes as f64;
+        assert!((0.98..1.02).contains(&share), "{frames} of {path:?}");
+    }
+}

@@ -2,24 +2,33 @@
 
 use rect_connections::file::{self, Limits};
 use rect_core::{
-    registry::named_connection::CONFIG,
+    registry::{
+        named_connection::CONFIG,
+        topics::{Topics, TOPICS},
+    },
     text::{display, humanize::short_reason},
 };
 use serde_json::Value;
-use std::{collections::BTreeSet, time::Duration};
+use std::{
+    collections::BTreeSet,
+    thread,
+    time::{Duration, Instant},
+};
 use zenoh::{Session, Wait};
 
 use super::login;
 use crate::{
     args::DoctorArgs,
     commands::client::{answers, session},
-    doctor::{alerts, declarations, encryption, names, radio, refused, Finding},
+    doctor::{alerts, declarations, encryption, names, radio, refused, slow_link, Finding},
     registry::now_s,
 };
 
 /// Maximum difference between clocks in seconds. Zenoh drops no messages for a larger one by default, but the times of
 /// messages cannot be compared.
 const MAX_SKEW_S: f64 = 2.0;
+/// How long the links count what they send.
+const COUNTED: Duration = Duration::from_secs(2);
 /// Timeout for liveliness tokens.
 const TIMEOUT: Duration = Duration::from_secs(2);
 
@@ -43,6 +52,8 @@ pub fn findings(args: &DoctorArgs) -> (Vec<Finding>, Option<Vec<String>>) {
     let mut adapters = None;
     if let Some(robot) = &robot {
         findings.extend(connections_file(&session, &args.fleet, robot));
+        let counting = topics(&session, &args.fleet, robot);
+        let asked = Instant::now();
         findings.push(others(&session, &args.fleet, robot));
         let own = format!("{}/{robot}/@rect", args.fleet);
         let status = replies(&session, &format!("{own}/status"));
@@ -58,8 +69,18 @@ pub fn findings(args: &DoctorArgs) -> (Vec<Finding>, Option<Vec<String>>) {
         findings.extend(declarations::finding(delayed.unwrap_or_default()));
         for (_, connections) in replies(&session, &format!("{own}/connections")) {
             findings.extend(radio::findings(&connections, may_choose));
-            findings.extend(encryption::findings(&connections, adapters.as_deref().unwrap_or_default()));
+            findings.extend(encryption::findings(
+                &connections,
+                adapters.as_deref().unwrap_or_default(),
+            ));
             findings.extend(refused::findings(&connections));
+        }
+        if counting.is_some_and(|topics| !topics.links.is_empty()) {
+            // The links count from the first question on.
+            thread::sleep(COUNTED.saturating_sub(asked.elapsed()));
+            let counted = topics(&session, &args.fleet, robot);
+            let counted = counted.iter();
+            findings.extend(counted.flat_map(|topics| slow_link::findings(robot, topics)));
         }
     }
     findings.extend(peers(&session));
@@ -68,6 +89,13 @@ pub fn findings(args: &DoctorArgs) -> (Vec<Finding>, Option<Vec<String>>) {
     findings.extend(alerts::findings(&statuses));
     findings.extend(names::findings(&statuses));
     (findings, adapters)
+}
+
+/// Returns what the router of a robot has counted since the last question.
+fn topics(session: &Session, fleet: &str, robot: &str) -> Option<Topics> {
+    let answers = replies(session, &format!("{fleet}/{robot}/@rect/{TOPICS}"));
+    let (_, answer) = answers.into_iter().next()?;
+    serde_json::from_value(answer).ok()
 }
 
 /// Returns the robot whose router this session is connected to.
