@@ -3,7 +3,7 @@ SHELL := /bin/bash
 export CARGO_TARGET_DIR ?= $(CURDIR)/target
 bin := $(CARGO_TARGET_DIR)/debug
 
-.PHONY: help demo test test-all test-kernels test-upstream check docs docs-serve python bench report soak survey-sim fuzz dist router
+.PHONY: help demo test test-all test-kernels test-upstream check docs docs-serve python cpp bench report soak survey-sim fuzz dist router
 
 help: ## List the commands
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 16
@@ -43,6 +43,13 @@ docs-serve: ## Show the documentation site at http://127.0.0.1:8000 while you ed
 python: ## Install the Python package into .venv, with the router and the rect tool
 	@scripts/setup python
 	@scripts/install-python
+
+cpp: ## Build the C++ library without optimisation, and the example hello with it, in rect-cpp/build/hello
+	@scripts/setup cpp
+	@scripts/build-programs -p rect-cpp
+	@cmake -S rect-cpp -B rect-cpp/build/hello -G Ninja -DRECT_LIBRARY_DIR=$(bin) -DRECT_BUILD_TESTS=OFF
+	@cmake --build rect-cpp/build/hello --target example_hello
+	@echo 'start `rect sim`, and then rect-cpp/build/hello/examples/hello'
 
 bench: ## Run the benches, and write their tables to benches/results/ (an hour; BENCH="goodput idle" selects some)
 	@scripts/setup bench

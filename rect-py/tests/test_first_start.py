@@ -33,3 +33,15 @@ def test_init_prints_command_that_starts_router(tmp_path: Path) -> None:
     finally:
         router.kill()
         router.wait()
+
+
+def test_module_runs_commands_of_the_tool(tmp_path: Path) -> None:
+    def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([sys.executable, "-m", "rect", *arguments], capture_output=True, text=True, cwd=tmp_path)
+
+    for command in ("peers", "sub", "request", "air", "sim", "doctor"):
+        shown = run(command, "--help")
+        assert shown.returncode == 0 and f"rect {command}" in shown.stdout, shown
+    # `router` runs the router, and what follows are its arguments.
+    assert "rect-router" in run("router", "--version").stdout
+    assert run().returncode == 2 and "peers" in run().stdout
