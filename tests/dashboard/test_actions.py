@@ -79,6 +79,34 @@ def test_a_goal_is_started_followed_and_cancelled(page: Page, fleet: Fleet, dash
         expect(running(page)).to_have_count(0)
 
 
+def test_the_bar_follows_the_progress(page: Page, fleet: Fleet, dashboard: str) -> None:
+    continues = [threading.Event(), threading.Event()]
+    with rect.connect("wombat-2", router=fleet.endpoint(1), program="digger") as robot:
+
+        @robot.action("dig")
+        def dig(goal: rect.Goal[Any]) -> None:
+            goal.feedback("begins")
+            assert continues[0].wait(TIMEOUT_S)
+            goal.feedback(progress=0.5)
+            assert continues[1].wait(TIMEOUT_S)
+            goal.feedback(progress=0.875)
+            goal.sleep(TIMEOUT_S)
+
+        open_view(page, dashboard)
+        start(page, "1")
+        bar = running(page).get_by_role("progressbar")
+        expect(running(page)).to_contain_text("begins")
+        expect(running(page)).to_contain_text("progress not known")
+        expect(bar).to_have_count(0)
+        continues[0].set()
+        expect(bar).to_have_js_property("value", 0.5)
+        expect(bar).to_have_js_property("max", 1)
+        expect(running(page)).to_contain_text("50 %")
+        continues[1].set()
+        expect(bar).to_have_js_property("value", 0.875)
+        expect(running(page)).to_contain_text("88 %")
+
+
 def test_a_goal_of_another_program_is_shown_and_a_newer_one_preempts_it(
     page: Page, fleet: Fleet, dashboard: str
 ) -> None:
