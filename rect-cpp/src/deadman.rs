@@ -4,13 +4,13 @@ use std::{
     mem::MaybeUninit,
     sync::{
         atomic::{AtomicBool, Ordering},
-        Arc, Mutex,
+        mpsc, Arc, Mutex,
     },
-    thread::{self, JoinHandle},
+    thread::{self, JoinHandle, ThreadId},
     time::Duration,
 };
 
-use rect::{DeadmanCall, DeadmanCalls};
+use rect::{DeadmanCall, DeadmanCalls, Losses};
 use rect_core::deadman::ENDED;
 use tokio_util::sync::CancellationToken;
 
@@ -54,7 +54,10 @@ type Call = DeadmanCall<rect::Message>;
 
 struct RunningSwitch {
     switch: Arc<Switch>,
+    /// The thread that calls `on_lost`. It ends after that of the commands.
     thread: Mutex<Option<JoinHandle<()>>>,
+    /// The thread that calls `on_command`.
+    commands: ThreadId,
 }
 
 impl Object for RunningSwitch {
@@ -62,13 +65,12 @@ impl Object for RunningSwitch {
 
     fn on_dropped(&self) {
         self.switch.end.cancel();
-        let thread = lock(&self.thread).take();
-        match thread {
-            Some(thread) if thread.thread().id() != thread::current().id() => {
-                // Fails only after a panic.
-                let _ = thread.join();
-            }
-            _ => {}
+        let Some(thread) = lock(&self.thread).take() else {
+            return;
+        };
+        if ![thread.thread().id(), self.commands].contains(&thread::current().id()) {
+            // Fails only after a panic.
+            let _ = thread.join();
         }
     }
 }
@@ -93,12 +95,16 @@ impl Switch {
     }
 
     /// Returns the next call of the program, and `None` after the end. Only one thread waits for it.
-    async fn next(&self, is_command: impl Fn(&rect::Message) -> bool) -> Option<Call> {
+    async fn next<L: FnMut(&str)>(
+        &self,
+        losses: &Losses<L>,
+        is_command: impl Fn(&rect::Message) -> bool,
+    ) -> Option<Call> {
         let mut calls = self.calls.lock().await;
         let next = tokio::select! {
             biased;
             () = self.end.cancelled() => None,
-            next = calls.as_mut()?.next(is_command) => next,
+            next = calls.as_mut()?.next(losses, is_command) => next,
         };
         let next = next.unwrap_or_else(|| {
             *calls = None;
@@ -108,6 +114,11 @@ impl Switch {
         self.is_following.store(is_following, Ordering::Release);
         Some(next)
     }
+}
+
+fn start(name: &str, run: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, Failure> {
+    let thread = thread::Builder::new().name(name.to_owned()).spawn(run);
+    Ok(thread.map_err(|source| rect::Error::Thread { source })?)
 }
 
 /// Calls a callback for messages, and returns its result; `None` if it is closed.
@@ -142,8 +153,11 @@ fn with_message<T>(
 /// whose numbers are all 0. Retained and replayed messages never count, and neither do those that cannot be decoded, nor those for which
 /// `is_command` returns false, such as a message that the program cannot read. `is_command` may be NULL.
 ///
-/// The callbacks are called on a thread of the switch, one at a time; they may call any function of RECT. One that takes long delays
-/// the next one, also `on_lost`. If this program itself hangs, nothing stops its motors: use the watchdog of the motor controller as well.
+/// `on_command` is called on a thread of its own, one command at a time. Commands that arrive meanwhile count only when it has returned: if
+/// it takes longer than `within_ms`, the commander is lost. `on_lost` is called on another thread and does not wait for it: if
+/// `on_command` is running, `on_lost` is called at once, and again as soon as that has returned, which may have started the motors in
+/// between. `is_command` is called on the thread of `on_lost`, and not while `on_command` is running. All may call any function of RECT.
+/// If this program itself hangs, nothing stops its motors: use the watchdog of the motor controller as well.
 ///
 /// `release` is called once with `context` when no more calls will follow, even if this function fails.
 ///
@@ -173,7 +187,23 @@ pub unsafe extern "C" fn rect_robot_deadman(
         let within = Duration::from_millis(within_ms.into());
         let switch = Arc::new(Switch::declare(&program, pattern, within)?);
         let (running, runtime) = (switch.clone(), program.runtime.clone());
-        let run = move || {
+        let of_losses = callback.clone();
+        let losses = Arc::new(Losses::new(move |reason: &str| {
+            let reason: [c_char; ERROR_BYTES] = buffer(reason);
+            of_losses.run(|context| on_lost(reason.as_ptr(), context));
+        }));
+        let (sender, received) = mpsc::channel::<rect::Message>();
+        let (of_commands, carried_out) = (callback.clone(), losses.clone());
+        let commands = start("rect-commands", move || {
+            for message in received {
+                with_message(&of_commands, &message, |view, context| {
+                    on_command(view, context);
+                });
+                carried_out.finish();
+            }
+        })?;
+        let id_of_commands = commands.thread().id();
+        let thread = start("rect-deadman", move || {
             let is_command = |message: &rect::Message| match is_command {
                 Some(is_command) => with_message(&callback, message, |view, context| {
                     is_command(view, context)
@@ -181,26 +211,27 @@ pub unsafe extern "C" fn rect_robot_deadman(
                 .unwrap_or(false),
                 None => true,
             };
-            let act = |call| match call {
-                Call::Command(message) => with_message(&callback, &message, |view, context| {
-                    on_command(view, context)
-                })
-                .is_some(),
-                Call::Lost(reason) => {
-                    let reason: [c_char; ERROR_BYTES] = buffer(&reason);
-                    callback.run(|context| on_lost(reason.as_ptr(), context))
+            let act = |call| {
+                match call {
+                    Call::Command(message) => {
+                        losses.begin();
+                        // The other thread ends after this one.
+                        let _ = sender.send(message);
+                    }
+                    Call::Lost(reason) => losses.on_lost(&reason),
                 }
+                true
             };
-            runtime.for_each(|| running.next(is_command), act);
+            runtime.for_each(|| running.next(&losses, is_command), act);
+            drop(sender);
+            // After a command that hangs, `on_lost` is called once more.
+            let _ = commands.join();
             callback.close();
-        };
-        let thread = thread::Builder::new()
-            .name("rect-deadman".into())
-            .spawn(run);
-        let thread = thread.map_err(|source| rect::Error::Thread { source })?;
+        })?;
         let id = handle::insert(RunningSwitch {
             switch,
             thread: Mutex::new(Some(thread)),
+            commands: id_of_commands,
         });
         write_out("deadman", deadman, Deadman { id })
     })

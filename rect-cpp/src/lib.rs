@@ -17,6 +17,7 @@ mod catalogue;
 mod codec;
 mod connection;
 mod deadman;
+mod declared_parameters;
 mod dictionary;
 mod event;
 mod failure;

@@ -71,6 +71,31 @@ TEST_CASE("parameters have the defaults of the struct, and are read like fields"
     CHECK(drive.get()->serial == "none");
 }
 
+TEST_CASE("the parameters of another robot are listed") {
+    Pair pair;
+    const auto drive = declared(pair);
+    std::vector<rect::DeclaredParameter> all;
+    until([&] {
+        auto found = pair.two.declared_parameters("wombat-1");
+        all = found ? std::move(*found) : std::vector<rect::DeclaredParameter>();
+        return all.size() == 6;
+    });
+    CHECK(all[0].group == "drive");
+    CHECK(all[0].name == "kp");
+    CHECK(all[0].default_value == 1.0);
+    CHECK(all[0].min == 0.0);
+    CHECK(all[0].max == 10.0);
+    CHECK(all[0].unit == "1/s");
+    CHECK(all[0].about == "gain of the heading");
+    CHECK_FALSE(all[0].read_only);
+    CHECK(all[1].choices == std::vector<std::string>{"left", "right"});
+    CHECK(all[4].default_value == std::vector<double>{1, 2});
+    CHECK_FALSE(all[4].max);
+    CHECK(all[5].read_only);
+    CHECK(must(pair.two.declared_parameters()).empty());
+    CHECK(pair.two.declared_parameters("a b").error().code == rect::Code::name);
+}
+
 TEST_CASE("parameters are set from another robot, all or none") {
     Pair pair;
     std::optional<rect::ParameterChange> reported;

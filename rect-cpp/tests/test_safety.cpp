@@ -94,6 +94,31 @@ TEST_CASE("a robot follows while commands arrive") {
     CHECK(deadman.is_following().error().code == rect::Code::handle);
 }
 
+TEST_CASE("a command that hangs does not delay the loss") {
+    Pair pair;
+    std::atomic<int> lost{0};
+    Flag begun;
+    Flag returns;
+    auto deadman = must(pair.two.deadman<double>(
+        "wombat-1/drive", 200ms,
+        [&](double) {
+            begun.set();
+            returns.wait();
+        },
+        [&](std::string_view) { ++lost; }));
+    must(pair.two.wait_until_established(deadline));
+    until([&] { return lost == 1; });
+    must(pair.one.publish("drive", 0.5));
+    CHECK(begun.wait());
+    until([&] { return lost == 2; });
+    CHECK_FALSE(must(deadman.is_following()));
+    // The command may have started the motors before it returns.
+    returns.set();
+    until([&] { return lost == 3; });
+    deadman.drop();
+    CHECK(lost == 4);
+}
+
 TEST_CASE("a robot that cannot be reached any more has lost command") {
     Pair pair;
     Motors motors;

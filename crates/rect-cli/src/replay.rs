@@ -141,6 +141,8 @@ struct Player {
     bar: ProgressBar,
     shown: Interval,
     is_ended: bool,
+    /// Whether that was reported.
+    has_left_out: bool,
 }
 
 impl Player {
@@ -169,6 +171,7 @@ impl Player {
             bar,
             shown: interval(SHOWN_EVERY),
             is_ended: false,
+            has_left_out: false,
         })
     }
 
@@ -198,6 +201,12 @@ impl Player {
             rect_terminal::errln!(
                 "rect: skipped {} messages whose topics do not begin with the name of a robot; --as names one",
                 due.skipped()
+            );
+        }
+        if due.left_out() > 0 && !std::mem::replace(&mut self.has_left_out, true) {
+            rect_terminal::errln!(
+                "rect: {} values of parameters, goals, alerts and stops were left out: at the router of a robot they belong to its programs",
+                due.left_out()
             );
         }
         Ok(count > 0 && !self.is_ended)
@@ -264,12 +273,16 @@ impl Player {
 fn replayed(arguments: &ReplayArguments) -> Result<Replay<Reader>, Failure> {
     let reader = Reader::open(&arguments.recording)?;
     let selection = arguments.part.selection();
-    Ok(Replay::new(
+    let replay = Replay::new(
         reader,
         selection,
         arguments.remap.clone(),
         arguments.robot.clone(),
-    ))
+    );
+    Ok(match arguments.router {
+        Some(_) => replay.as_live_robot(),
+        None => replay,
+    })
 }
 
 fn dry_run(arguments: &ReplayArguments) -> Done {

@@ -5,10 +5,15 @@ use std::{process::ExitCode, time::Duration};
 use clap::{Args, Subcommand};
 use rect::{Name, Payload, Robot, RobotTopic, Topic};
 use rect_core::{
+<<<<<<< Updated upstream
     registry::{
         topics::{TopicReport, Topics, MAX_TOPICS, WINDOW},
         usage::{on_air, percent, LinkUsage},
     },
+=======
+    action,
+    registry::topics::{TopicReport, Topics, WINDOW},
+>>>>>>> Stashed changes
     text::{
         display::line,
         humanize::{bytes, duration},
@@ -46,10 +51,15 @@ pub struct TopicArguments {
 #[derive(Subcommand)]
 enum TopicCommand {
     /// List the topics of a robot, or of all robots of the fleet
+    ///
+    /// The topics of goals, `actions/...`, are left out: `rect action list` shows the goals.
     List {
         /// The robot [default: all]
         #[arg(value_parser = name)]
         robot: Option<Name>,
+        /// List the topics of goals, too
+        #[arg(long)]
+        all: bool,
         #[command(flatten)]
         measured: MeasuredArguments,
         #[command(flatten)]
@@ -125,12 +135,19 @@ pub async fn run(arguments: TopicArguments) -> Done {
     match arguments.command {
         TopicCommand::List {
             robot: publisher,
+            all,
             measured,
             join,
         } => {
             let robot = join.join_unnamed().await?;
-            let Answers { topics, problems } =
-                measure(&robot, publisher.as_ref(), None, measured.duration).await?;
+            let Answers {
+                mut topics,
+                problems,
+            } = measure(&robot, publisher.as_ref(), None, measured.duration).await?;
+            let left_out = match all {
+                true => 0,
+                false => topics.iter_mut().map(|(_, of)| leave_goals_out(of)).sum(),
+            };
             if measured.json {
                 let all = topics
                     .iter()
@@ -138,6 +155,11 @@ pub async fn run(arguments: TopicArguments) -> Done {
                 terminal::json(&all.collect::<serde_json::Map<_, _>>())?;
             } else {
                 list(&topics);
+            }
+            if left_out > 0 {
+                rect_terminal::errln!(
+                    "rect: {left_out} topics of goals are not listed: `rect action list` shows the goals, and --all lists the topics"
+                );
             }
             for problem in problems {
                 rect_terminal::errln!("rect: {problem}");
@@ -249,6 +271,14 @@ async fn measure(
     answers(robot, publisher, topic, KEEP).await?;
     tokio::time::sleep(duration.0).await;
     answers(robot, publisher, topic, KEEP).await
+}
+
+/// Removes the topics of goals, which the router keeps for ten minutes after their ends. Returns how many there were.
+fn leave_goals_out(topics: &mut Topics) -> usize {
+    let before = topics.topics.len();
+    let of_goals = |topic: &str| topic.split('/').next() == Some(action::TOPIC);
+    topics.topics.retain(|report| !of_goals(&report.topic));
+    before - topics.topics.len()
 }
 
 fn list(answers: &[(String, Topics)]) {
@@ -411,4 +441,30 @@ fn report_as_json(report: &TopicReport) -> serde_json::Value {
         "interval_ms": report.interval_ms,
         "retained": report.is_retained,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn topics_of_goals_are_left_out() {
+        let names = [
+            "actions/dig/7f",
+            "actions/dig/7f/feedback",
+            "actionsdig",
+            "mode",
+        ];
+        let report = |topic: &str| TopicReport {
+            topic: topic.to_owned(),
+            ..TopicReport::default()
+        };
+        let mut topics = Topics {
+            topics: names.map(report).into(),
+            ..Topics::default()
+        };
+        assert_eq!(leave_goals_out(&mut topics), 2);
+        let left: Vec<_> = topics.topics.iter().map(|one| one.topic.as_str()).collect();
+        assert_eq!(left, ["actionsdig", "mode"]);
+    }
 }

@@ -36,11 +36,14 @@ export function topics(link, parent, notify) {
 
   function showAll() {
     const matches = wordFilter(filter);
-    const all = link.states.topics?.topics ?? [];
+    const known = link.states.topics?.topics ?? [];
+    // The view Actions shows the goals. If you look for their topics, you get them.
+    const isGoal = (row) => row.topic.startsWith("actions/");
+    const all = filter.value.includes("actions") ? known : known.filter((row) => !isGoal(row));
     rows = all.filter((row) => matches(`${row.robot}/${row.topic}`));
     const more = link.states.topics?.more;
     setText(count, `${rows.length} of ${all.length}${more ? `, and ${more} more that the routers do not list` : ""}`);
-    setText(empty, all.length > 0 ? "" : emptyText(link.states.topics));
+    setText(empty, known.length > 0 ? "" : emptyText(link.states.topics));
     empty.hidden = empty.textContent === "";
     list.hidden = rows.length === 0;
     space.style.height = `${rows.length * LINE_PX}px`;

@@ -1,9 +1,13 @@
 //! Decides what of a recording is replayed, and when.
 use std::{collections::BTreeMap, time::Duration};
 
-use rect_core::name::{
-    topic::{Pattern, Topic},
-    Name,
+use rect_core::{
+    action, alert,
+    name::{
+        topic::{Pattern, Topic},
+        Name,
+    },
+    parameters, stop,
 };
 
 use crate::{
@@ -112,6 +116,9 @@ pub struct Replay<I> {
     /// The first message after the beginning, while the earlier ones are returned.
     held: Option<Entry>,
     skipped: u64,
+    /// Whether the robot is a real one, whose programs and router retain values of their own.
+    is_live: bool,
+    left_out: u64,
 }
 
 impl<E, I: Iterator<Item = Result<Entry, E>>> Replay<I> {
@@ -126,7 +133,23 @@ impl<E, I: Iterator<Item = Result<Entry, E>>> Replay<I> {
             earlier: BTreeMap::new(),
             held: None,
             skipped: 0,
+            is_live: false,
+            left_out: 0,
         }
+    }
+
+    /// Leaves out what a real robot says about itself by retained topics: its parameters, goals and alerts, and the stop of the fleet.
+    #[must_use]
+    pub fn as_live_robot(self) -> Self {
+        Self {
+            is_live: true,
+            ..self
+        }
+    }
+
+    /// Returns how many messages were left out because the robot is a real one.
+    pub fn left_out(&self) -> u64 {
+        self.left_out
     }
 
     /// Returns how many messages had a topic that is not that of a robot.
@@ -192,11 +215,21 @@ impl<E, I: Iterator<Item = Result<Entry, E>>> Iterator for Replay<I> {
                 Err(error) => return Some(Err(error)),
             };
             match self.due(entry) {
+                Some(due) if self.is_live && is_of_robot(&due) => self.left_out += 1,
                 Some(due) => return Some(Ok(due)),
                 None => self.skipped += 1,
             }
         }
     }
+}
+
+/// Returns whether a message is a value by which a robot says how it is.
+fn is_of_robot(due: &Due) -> bool {
+    let topic = due.topic.as_str();
+    let (alerts, _) = alert::TOPICS.split_once('/').unwrap_or_default();
+    let first = topic.split('/').next().unwrap_or_default();
+    due.entry.retained.is_some()
+        && (topic == stop::TOPIC || [action::TOPIC, parameters::TOPIC, alerts].contains(&first))
 }
 
 #[cfg(test)]
@@ -316,6 +349,39 @@ mod tests {
         let x = row("a/x", 300, "300", None);
         assert_eq!(part(260, 350), [mode, x]);
         assert_eq!(part(0, 40), [row("a/mode", 0, "0", Some(Value))]);
+    }
+
+    #[test]
+    fn values_of_a_real_robot_are_not_replaced() {
+        let retained = |topic| {
+            entry(topic, 0).map(|entry| Entry {
+                retained: Some(RetainedKind::Value),
+                ..entry
+            })
+        };
+        let recorded = [
+            retained("a/mode"),
+            retained("a/actions/dig/7f"),
+            entry("a/actions/dig/7f/feedback", 0),
+            retained("a/parameters/drive"),
+            retained("a/alerts/battery"),
+            retained("a/stop/state"),
+            retained("a/stop/button"),
+        ];
+        let robot = || Some(Name::new("wombat").expect("a name"));
+        let replay = || {
+            let (recorded, selection) = (recorded.clone().into_iter(), Selection::default());
+            Replay::new(recorded, selection, Vec::new(), robot())
+        };
+        assert_eq!(replay().count(), recorded.len());
+        let mut live = replay().as_live_robot();
+        let topics: Vec<_> = live
+            .by_ref()
+            .map(|due| due.expect("no error").topic)
+            .collect();
+        let topics: Vec<_> = topics.iter().map(Topic::as_str).collect();
+        assert_eq!(topics, ["mode", "actions/dig/7f/feedback", "stop/button"]);
+        assert_eq!(live.left_out(), 4);
     }
 
     #[test]

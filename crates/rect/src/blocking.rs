@@ -39,8 +39,8 @@ pub use self::{
 use crate::{
     session, Connection, Counters, Deadman, Error, Event, FromPayload, Gathered, GroupOptions,
     Level, LogItem, LogLine, LogOptions, Message, Name, NamedConnection, Options, ParameterGroup,
-    ParameterOrder, ParameterValue, Pattern, Payload, Program, SubscribeOptions, Reply, RobotAlert,
-    Service, ServiceEntry, ServiceOptions, ToPayload, Topic, Urgency,
+    ParameterOrder, ParameterValue, Pattern, Payload, Program, Reply, RobotAlert, Service,
+    ServiceEntry, ServiceOptions, SubscribeOptions, ToPayload, Topic, Urgency,
 };
 use rect_core::codec::{dictionary::Dictionary, Codec};
 
@@ -564,7 +564,8 @@ impl Robot {
         Ok(FleetStop { stop, runtime })
     }
 
-    /// Carries out commands while they arrive; see [`crate::Robot::deadman`]. Both functions are called on a thread of the session.
+    /// Carries out commands while they arrive; see [`crate::Robot::deadman`]: `on_command` on a thread of its own, and `on_lost`, which
+    /// does not wait for it, on a thread of the session.
     ///
     /// # Errors
     /// Returns the same errors.

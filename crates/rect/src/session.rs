@@ -51,7 +51,7 @@ mod warnings;
 pub use action::{Action, ActionChanges, ActionOptions, ActionRun, Cancelled, Goal, StartOptions};
 pub use deadman::Deadman;
 #[doc(hidden)]
-pub use deadman::{DeadmanCall, DeadmanCalls};
+pub use deadman::{DeadmanCall, DeadmanCalls, Losses};
 pub use events::Events;
 pub use gathered::{Gathered, Outcome};
 pub use log::{LogLayer, LogOptions, Logs};
@@ -73,9 +73,9 @@ pub use state::{KeptState, Save};
 pub use stop::{FleetStop, StopChanges};
 pub use stream::{Frame, StreamSender, Watcher};
 pub(crate) use subscriber::call;
-pub use throttle::RunningThrottle;
 pub use subscriber::{QueueOptions, SubscribeOptions, Subscriber, Subscription};
 pub use threads::use_one_thread;
+pub use throttle::RunningThrottle;
 pub use transfer::{
     Destination, IncomingTransfer, ReceiveOptions, Received, Transfer, TransferSource, Transfers,
 };

@@ -12,6 +12,7 @@
 #include <limits>
 #include <map>
 #include <memory>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <string_view>
@@ -128,6 +129,30 @@ struct ParameterOptions {
     std::function<void(const T&, const ParameterChange&)> on_change{};
 };
 
+/// A parameter that a program of some robot has declared.
+struct DeclaredParameter {
+    /// The name of the group.
+    std::string group;
+    /// The name of the program; empty if the program has none.
+    std::string program;
+    /// The name.
+    std::string name;
+    /// The default. The values in force are the retained topic `parameters/<group>` of the robot.
+    ParameterValue default_value;
+    /// The smallest number; nothing: any.
+    std::optional<double> min;
+    /// The largest number; nothing: any.
+    std::optional<double> max;
+    /// The choices; empty if it is no choice.
+    std::vector<std::string> choices;
+    /// The unit, such as `m/s`; empty if there is none.
+    std::string unit;
+    /// Its purpose, in the words of the program; empty if there are none.
+    std::string about;
+    /// Whether only the program itself changes it.
+    bool read_only;
+};
+
 /// How to change the parameters of another program.
 struct SetOptions {
     /// Whether to wait until the values are stored, which takes up to a second longer. Otherwise, a power cut within that second may
@@ -189,6 +214,29 @@ inline ParameterValues parameter_values(const rect_parameter_values& raw) {
         values.emplace(view(value.name), parameter_value(value));
     }
     return values;
+}
+
+inline DeclaredParameter declared_parameter(const rect_declared_parameter& raw) {
+    DeclaredParameter parameter{std::string(view(raw.group)),
+                                std::string(view(raw.program)),
+                                std::string(view(raw.default_value.name)),
+                                parameter_value(raw.default_value),
+                                {},
+                                {},
+                                {},
+                                std::string(view(raw.unit)),
+                                std::string(view(raw.about)),
+                                raw.read_only};
+    if (!std::isnan(raw.min)) {
+        parameter.min = raw.min;
+    }
+    if (!std::isnan(raw.max)) {
+        parameter.max = raw.max;
+    }
+    for (const auto& choice : span<const rect_text>(raw.choices, raw.choices_len)) {
+        parameter.choices.emplace_back(view(choice));
+    }
+    return parameter;
 }
 
 inline ParameterChange parameter_change(const rect_parameter_change& raw) {

@@ -648,6 +648,22 @@ public:
         return parameters_or_error(code, error, in_force);
     }
 
+    /// Returns the parameters that the programs of a robot have declared, in the order in which the programs began. `target` is the robot;
+    /// empty means this robot. The answer is kept as that of `services`. Fails with Code::no_service if no router with a catalogue answers.
+    [[nodiscard]] expected<std::vector<DeclaredParameter>> declared_parameters(const std::string& target = {}) const {
+        rect_declared_parameters parameters;
+        rect_error error;
+        const auto code = rect_robot_declared_parameters(raw(), detail::or_null(target), &parameters, &error);
+        return detail::value_or_error<std::vector<DeclaredParameter>>(code, error, [&] {
+            const Handle handle(parameters.id);
+            std::vector<DeclaredParameter> all;
+            for (const auto& parameter : span<const rect_declared_parameter>(parameters.items, parameters.len)) {
+                all.push_back(detail::declared_parameter(parameter));
+            }
+            return all;
+        });
+    }
+
     /// Takes part in the stop of the fleet: with it, this program stops all robots that take part, learns of a stop, and confirms it.
     ///
     /// A stop holds until somebody releases it. The robots remember it, on their disks as well, and pass it on: one that was out of reach
@@ -672,9 +688,11 @@ public:
     /// `on_lost` gets the reason, once for each loss; the next command resumes. After a stop, the first command that counts is a neutral
     /// one, whose numbers are all 0. Retained and replayed messages never count, and neither do those whose value does not fit `T`.
     ///
-    /// Both functions are called on a thread of the switch, one at a time, and may use all of RECT. One that takes long delays the next one,
-    /// also `on_lost`. Exceptions are passed to the function of rect::on_callback_error. If this program itself hangs, nothing stops its
-    /// motors: use the watchdog of the motor controller as well.
+    /// `on_command` is called on a thread of its own, one command at a time. Commands that arrive meanwhile count only when it has returned:
+    /// if it takes longer than `within`, the commander is lost. `on_lost` is called on another thread and does not wait for it: if
+    /// `on_command` is running, `on_lost` is called at once, and again as soon as that has returned, which may have started the motors in
+    /// between. So what both use must be safe to use from two threads. Both may use all of RECT. Exceptions are passed to the function of
+    /// rect::on_callback_error. If this program itself hangs, nothing stops its motors: use the watchdog of the motor controller as well.
     ///
     /// Fails with Code::option if `within` is invalid, and with Code::topic or Code::name if the pattern is.
     template <class T = void, class C, class L>

@@ -3,8 +3,9 @@ use std::{
     fmt,
     sync::{
         atomic::{AtomicBool, Ordering},
-        Arc,
+        mpsc, Arc, Mutex,
     },
+    thread,
     time::{Duration, Instant},
 };
 
@@ -14,12 +15,12 @@ use rect_core::{
     name::topic::Pattern,
     registry::connection::Event,
 };
-use tokio::task::JoinHandle;
+use tokio::{sync::Notify, task::JoinHandle};
 
 use super::{
     events::Events,
     robot::Robot,
-    shared::sleep_until,
+    shared::{lock, sleep_until},
     stop::{FleetStop, StopChanges},
     subscriber::{call, Subscriber},
 };
@@ -40,7 +41,67 @@ pub enum DeadmanCall<C> {
     Lost(String),
 }
 
-/// The commands of a dead man's switch, and their losses, for the C library: its program takes them on a thread of its own.
+/// Calls `on_lost` when the commander is lost, also while a command is being carried out on another thread: then at once, and again after
+/// the command, which may have moved something since.
+#[doc(hidden)]
+pub struct Losses<L> {
+    state: Mutex<LossState<L>>,
+    finished: Notify,
+}
+
+struct LossState<L> {
+    on_lost: L,
+    /// Whether a command is being carried out. Until its end, no other one counts.
+    is_busy: bool,
+    /// Why the commander was lost meanwhile.
+    reason: Option<String>,
+}
+
+impl<L: FnMut(&str)> Losses<L> {
+    /// Creates what calls `on_lost`.
+    pub fn new(on_lost: L) -> Self {
+        let state = LossState {
+            on_lost,
+            is_busy: false,
+            reason: None,
+        };
+        Self {
+            state: Mutex::new(state),
+            finished: Notify::new(),
+        }
+    }
+
+    /// Handles that the commander is lost.
+    pub fn on_lost(&self, reason: &str) {
+        let mut state = lock(&self.state);
+        if state.is_busy {
+            state.reason = Some(reason.to_owned());
+        }
+        call("on_lost", || (state.on_lost)(reason));
+    }
+
+    /// Handles that a command begins.
+    pub fn begin(&self) {
+        lock(&self.state).is_busy = true;
+    }
+
+    /// Handles that it was carried out.
+    pub fn finish(&self) {
+        let mut state = lock(&self.state);
+        state.is_busy = false;
+        if let Some(reason) = state.reason.take() {
+            call("on_lost", || (state.on_lost)(&reason));
+        }
+        drop(state);
+        self.finished.notify_one();
+    }
+
+    fn is_busy(&self) -> bool {
+        lock(&self.state).is_busy
+    }
+}
+
+/// The commands of a dead man's switch, and their losses, for the C library, too.
 #[doc(hidden)]
 pub struct DeadmanCalls<T: FromPayload> {
     switch: deadman::Deadman,
@@ -77,12 +138,14 @@ impl<T: FromPayload> DeadmanCalls<T> {
         })
     }
 
-    /// Waits for the next call. Only messages for which `is_command` returns true count. Returns `None` once the session is closed.
+    /// Waits for the next call. Only messages for which `is_command` returns true count, and none while a command is being carried out.
+    /// Returns `None` once the session is closed.
     ///
     /// # Cancel safety
     /// If the future is dropped, nothing is lost.
-    pub async fn next(
+    pub async fn next<L: FnMut(&str)>(
         &mut self,
+        losses: &Losses<L>,
         is_command: impl Fn(&Message<T::Value>) -> bool,
     ) -> Option<DeadmanCall<Message<T::Value>>> {
         let Self {
@@ -97,6 +160,7 @@ impl<T: FromPayload> DeadmanCalls<T> {
                 return Some(DeadmanCall::Lost(reason));
             }
             let expired = sleep_until(switch.deadline());
+            let is_busy = losses.is_busy();
             tokio::select! {
                 biased;
                 changed = stops.next() => {
@@ -111,7 +175,8 @@ impl<T: FromPayload> DeadmanCalls<T> {
                     }
                     _ => {}
                 },
-                message = commands.next() => {
+                () = losses.finished.notified(), if is_busy => {}
+                message = commands.next(), if !is_busy => {
                     let message = message?;
                     if is_command(&message) && switch.on_command(Instant::now(), &message) {
                         return Some(DeadmanCall::Command(message));
@@ -126,14 +191,13 @@ impl<T: FromPayload> DeadmanCalls<T> {
 /// Calls `on_lost` when the switch is dropped.
 struct Following<L: FnMut(&str)> {
     is_following: Arc<AtomicBool>,
-    on_lost: L,
+    losses: Arc<Losses<L>>,
 }
 
 impl<L: FnMut(&str)> Following<L> {
-    fn lose(&mut self, reason: &str) {
+    fn lose(&self, reason: &str) {
         self.is_following.store(false, Ordering::Release);
-        let on_lost = &mut self.on_lost;
-        call("on_lost", || on_lost(reason));
+        self.losses.on_lost(reason);
     }
 }
 
@@ -149,9 +213,13 @@ impl Robot {
     /// fleet is [stopped](Self::fleet_stop), and before the first one.
     ///
     /// `on_lost` gets the reason, once for each loss; the next command resumes. After a stop, the first command that counts is a neutral
-    /// one, whose numbers are all 0. Retained and replayed messages never count, and a message without a value neither. Both functions are called on a thread of
-    /// the runtime, one at a time, and must not block it. If this program itself hangs, nothing stops its motors: use
-    /// the watchdog of the motor controller as well.
+    /// one, whose numbers are all 0. Retained and replayed messages never count, and a message without a value neither.
+    ///
+    /// `on_command` is called on a thread of its own, one command at a time, and may block it. Commands that arrive meanwhile count only when
+    /// it has returned: if it takes longer than `within`, the commander is lost. `on_lost` is called on a thread of the runtime, which it
+    /// must not block. It does not wait for `on_command`: if that is running, `on_lost` is called at once, and again as soon as
+    /// `on_command` has returned, which may have started the motors in between. If this program itself hangs, nothing stops its motors:
+    /// use the watchdog of the motor controller as well.
     ///
     /// ```no_run
     /// # #[derive(serde::Deserialize)] struct Drive { left: f64, right: f64 }
@@ -171,7 +239,8 @@ impl Robot {
     /// ```
     ///
     /// # Errors
-    /// [`Error::Topic`] if the pattern is invalid, [`Error::Option`] if the time is, and [`Error::Closed`] if the session is closed.
+    /// [`Error::Topic`] if the pattern is invalid, [`Error::Option`] if the time is, [`Error::Thread`] if there is no thread for the
+    /// commands, and [`Error::Closed`] if the session is closed.
     ///
     /// # Cancel safety
     /// If the future is dropped, there is no switch.
@@ -187,18 +256,35 @@ impl Robot {
     {
         let mut calls = DeadmanCalls::<T>::begin(self, pattern, within).await?;
         let is_following = Arc::new(AtomicBool::new(false));
-        let mut following = Following {
+        let losses = Arc::new(Losses::new(on_lost));
+        let following = Following {
             is_following: is_following.clone(),
-            on_lost,
+            losses: losses.clone(),
         };
+        let runtime = self.inner.runtime.clone();
+        let (commands, received) = mpsc::channel::<T::Value>();
+        let carry_out = move || {
+            // Functions of Tokio can be called there, as elsewhere in the program.
+            let _runtime = runtime.enter();
+            for command in received {
+                call("on_command", || on_command(command));
+                losses.finish();
+            }
+        };
+        let thread = thread::Builder::new().name("rect-deadman".to_owned());
+        let thread = thread.spawn(carry_out);
+        thread.map_err(|source| Error::Thread { source })?;
         let task = self.inner.runtime.spawn(async move {
-            while let Some(next) = calls.next(|_| true).await {
+            let losses = following.losses.clone();
+            while let Some(next) = calls.next(&losses, |_| true).await {
                 match next {
                     DeadmanCall::Lost(reason) => following.lose(&reason),
                     DeadmanCall::Command(message) => {
                         if let Ok(command) = message.value {
                             (following.is_following).store(true, Ordering::Release);
-                            call("on_command", || on_command(command));
+                            losses.begin();
+                            // The thread ends after this task.
+                            let _ = commands.send(command);
                         }
                     }
                 }

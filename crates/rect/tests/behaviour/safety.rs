@@ -89,6 +89,42 @@ async fn a_robot_follows_while_commands_arrive() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_command_that_hangs_does_not_delay_the_loss() {
+    let (laptop, robot) = pair("laptop", "wombat").await;
+    let (motors, on_lost) = (Motors::default(), Motors::default());
+    let (returns, may_return) = std::sync::mpsc::channel::<()>();
+    let (commands, losses) = (motors.clone(), on_lost.clone());
+    let within = Duration::from_millis(200);
+    let switch = robot.deadman::<f64>(
+        "laptop/drive",
+        within,
+        move |speed| {
+            commands.add(format!("drive {speed}"));
+            may_return.recv().expect("the test goes on");
+        },
+        move |reason| losses.add(format!("lost: {reason}")),
+    );
+    let switch = switch.await.expect("a switch");
+    on_lost.until("lost: no command has arrived yet").await;
+    let stick = stick(&laptop).await;
+    stick.publish(0.5).await.expect("sent");
+    motors.until("drive 0.5").await;
+    // Commands that arrive meanwhile are no sign of life.
+    stick.publish(0.6).await.expect("sent");
+    on_lost.until("lost: no command of laptop for 200 ms").await;
+    assert!(!switch.is_following());
+    assert!(on_lost.all().is_empty() && motors.all().is_empty());
+    // It may have started the motors before it returns.
+    returns.send(()).expect("it waits");
+    on_lost.until("lost: no command of laptop for 200 ms").await;
+    motors.until("drive 0.6").await;
+    drop(switch);
+    on_lost.until("lost: the dead man's switch has ended").await;
+    returns.send(()).expect("it waits");
+    on_lost.until("lost: the dead man's switch has ended").await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_stop_holds_until_it_is_released_and_the_stick_is_neutral() {
     let (laptop, robot) = pair("laptop", "wombat").await;
     let motors = Motors::default();
