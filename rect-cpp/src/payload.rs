@@ -34,6 +34,45 @@ pub struct PayloadView {
     pub encoding: Text,
 }
 
+/// What the bytes of a payload are. Its encoding is compared like any media type, without case and without parameters.
+#[repr(C)]
+pub enum EncodingKind {
+    /// Anything else, also text in another character set than UTF-8.
+    Other = 0,
+    /// JSON: `application/json`, `text/json`, or a type that ends in `+json`.
+    Json = 1,
+    /// CBOR: `application/cbor`, or a type that ends in `+cbor`.
+    Cbor = 2,
+    /// Text in UTF-8: `text/...`, or `zenoh/string`.
+    Text = 3,
+    /// A picture: `image/png`.
+    Png = 4,
+    /// A picture: `image/jpeg`.
+    Jpeg = 5,
+    /// A picture: `image/webp`.
+    Webp = 6,
+    /// A frame of a video: `video/h264`.
+    H264 = 7,
+    /// A raw picture or array, or any bytes: `application/octet-stream`.
+    Raw = 8,
+}
+
+impl EncodingKind {
+    fn of(encoding: &Encoding) -> Self {
+        match encoding.kind() {
+            rect::EncodingKind::Json => Self::Json,
+            rect::EncodingKind::Cbor => Self::Cbor,
+            rect::EncodingKind::Text => Self::Text,
+            rect::EncodingKind::Png => Self::Png,
+            rect::EncodingKind::Jpeg => Self::Jpeg,
+            rect::EncodingKind::Webp => Self::Webp,
+            rect::EncodingKind::H264 => Self::H264,
+            rect::EncodingKind::Raw => Self::Raw,
+            _ => Self::Other,
+        }
+    }
+}
+
 /// A payload with a handle of its own. Release it with `rect_drop(&buffer.id, ..)`.
 #[repr(C)]
 pub struct Buffer {
@@ -137,7 +176,7 @@ pub fn into_c(payload: Payload) -> Buffer {
 /// Returns a payload in a form that C programs can read: text as text, and other values as JSON rather than CBOR, unless JSON cannot
 /// express them.
 pub fn readable(payload: Payload) -> Payload {
-    if payload.encoding != Encoding::CBOR {
+    if payload.encoding.kind() != rect::EncodingKind::Cbor {
         return payload;
     }
     match payload.value() {
@@ -158,7 +197,7 @@ pub fn readable_or_empty(payload: Payload) -> Payload {
 /// Returns the text of a payload whose encoding is a kind of text.
 fn text<'a>(bytes: &'a [u8], found: &Encoding) -> Result<&'a str, PayloadError> {
     if !found.is_text() {
-        let (expected, found) = ("text", found.clone());
+        let (expected, found) = ("text in UTF-8", found.clone());
         return Err(PayloadError::Mismatch { expected, found });
     }
     std::str::from_utf8(bytes).map_err(|error| PayloadError::Read {
@@ -208,6 +247,22 @@ unsafe fn of_text(text: *const c_char, encoding: &'static str) -> PayloadView {
         len,
         encoding: Text::of(encoding),
     }
+}
+
+/// Writes what the bytes of a payload are, by its encoding, to `out`. The bytes are not read.
+///
+/// May be called on any thread.
+#[no_mangle]
+pub unsafe extern "C" fn rect_payload_kind(
+    payload: Option<&PayloadView>,
+    out: Option<&mut MaybeUninit<EncodingKind>>,
+    error: Option<&mut MaybeUninit<ErrorOut>>,
+) -> Code {
+    call(error, || {
+        // SAFETY: the caller follows the rules of rect.h.
+        let (_, encoding) = unsafe { argument::require("payload", payload)?.parts() }?;
+        write_out("kind", out, EncodingKind::of(&encoding))
+    })
 }
 
 /// Writes the text of a payload to `out`. The text is valid as long as the payload.

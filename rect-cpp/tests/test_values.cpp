@@ -21,7 +21,7 @@ TEST_CASE("text and bytes survive a round trip") {
     CHECK(std::equal(bytes.begin(), bytes.end(), message.payload.bytes().begin(), message.payload.bytes().end()));
     const auto error = message.payload.text().error();
     CHECK(error.code == rect::Code::payload);
-    CHECK_THAT(error.text, ContainsSubstring("zenoh/bytes, but text is required"));
+    CHECK_THAT(error.text, ContainsSubstring("zenoh/bytes, but text in UTF-8 is required"));
 }
 
 namespace {

@@ -21,11 +21,21 @@ pub type Parts<'py> = (Bound<'py, PyBytes>, String);
 /// A codec, which compresses payloads. It is created from its name.
 ///
 /// The names are `none`, `zstd[:<level 1 to 19>]`, `png`, `jpeg[:<quality 1 to 100>]`, `webp[:<quality 1 to 100>]` and
-/// `quantised:<largest error>`. `Robot.share_dictionary` returns a codec that uses a dictionary.
+/// `quantised:<largest error>`. A codec that uses a dictionary is created from the dictionary; `Robot.share_dictionary`
+/// returns it.
 ///
 /// Raises `CodecError` if there is no such codec.
 #[pyclass(frozen, module = "rect._rect")]
-pub struct Codec(Arc<dyn codec::Codec>);
+pub struct Codec(Arc<dyn codec::Codec>, Option<Py<Dictionary>>);
+
+/// What a codec is created from.
+#[derive(FromPyObject)]
+enum Spec {
+    #[pyo3(annotation = "str")]
+    Name(String),
+    #[pyo3(annotation = "Dictionary")]
+    Dictionary(Py<Dictionary>),
+}
 
 /// A zstd dictionary: the common content of many small messages, stored at both ends instead of sent each time.
 ///
@@ -59,16 +69,26 @@ pub fn limits(max_bytes: Option<usize>, max_pixels: Option<usize>) -> Limits {
 
 #[pymethods]
 impl Codec {
-    /// Creates the codec with a name such as `zstd:9`.
+    /// Creates the codec with a name such as `zstd:9`, or a zstd codec that uses a dictionary.
     #[new]
-    fn new(spec: &str) -> PyResult<Self> {
-        codec::parse(spec).or_raise().map(Self)
+    fn new(spec: Spec) -> PyResult<Self> {
+        Ok(match spec {
+            Spec::Name(name) => Self(codec::parse(&name).or_raise()?, None),
+            Spec::Dictionary(dictionary) => {
+                let codec = DictionaryCodec::new(dictionary.get().0.clone());
+                Self(Arc::new(codec), Some(dictionary))
+            }
+        })
     }
 
-    /// Creates a zstd codec that uses a dictionary.
-    #[staticmethod]
-    fn with_dictionary(dictionary: &Dictionary) -> Self {
-        Self(Arc::new(DictionaryCodec::new(dictionary.0.clone())))
+    /// Returns how `pickle` and `copy` make the same codec.
+    fn __reduce__(this: &Bound<'_, Self>) -> PyResult<(Py<PyAny>, (Py<PyAny>,))> {
+        let (py, codec) = (this.py(), this.get());
+        let spec = match &codec.1 {
+            Some(dictionary) => dictionary.clone_ref(py).into_any(),
+            None => codec.name().into_pyobject(py)?.into_any().unbind(),
+        };
+        Ok((this.get_type().into_any().unbind(), (spec,)))
     }
 
     /// The full name, such as `zstd:9`.
@@ -131,6 +151,22 @@ impl Dictionary {
     #[getter]
     fn id(&self) -> u32 {
         self.0.id()
+    }
+
+    /// Returns how `pickle` and `copy` make the same dictionary.
+    fn __reduce__<'py>(
+        this: &Bound<'py, Self>,
+    ) -> (Bound<'py, PyAny>, (Bound<'py, PyBytes>,)) {
+        let bytes = this.get().__bytes__(this.py());
+        (this.get_type().into_any(), (bytes,))
+    }
+
+    fn __eq__(&self, other: &Self) -> bool {
+        self.0.as_bytes() == other.0.as_bytes()
+    }
+
+    fn __hash__(&self) -> u64 {
+        self.0.id().into()
     }
 
     fn __bytes__<'py>(&self, py: Python<'py>) -> Bound<'py, PyBytes> {

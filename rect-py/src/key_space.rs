@@ -94,6 +94,12 @@ pub fn pattern(text: &str) -> PyResult<(Option<String>, String)> {
     Ok((robot, pattern.topic().to_owned()))
 }
 
+/// Returns what a payload with this encoding is: `json`, `cbor`, `text`, `png`, `jpeg`, `webp`, `h264`, `raw` or `other`.
+#[pyfunction]
+pub fn encoding_kind(text: &str) -> &'static str {
+    Encoding::new(text.to_owned()).kind().as_str()
+}
+
 /// Returns the media type and the schema of an encoding, and the encoding without its suffix `;zstd` (`None` if it has
 /// no such suffix).
 #[pyfunction]

@@ -110,7 +110,8 @@ def test_attachments(given: str, out: Any) -> None:
 
 @pytest.mark.parametrize(("given", "out"), cases("encodings"))
 def test_encoding_parts(given: str, out: dict[str, Any]) -> None:
-    assert dict(zip(("media_type", "schema", "below"), _rect.encoding_parts(given))) == out
+    parts = (*_rect.encoding_parts(given), _rect.encoding_kind(given))
+    assert dict(zip(("media_type", "schema", "below", "kind"), parts)) == out
 
 
 @pytest.mark.parametrize(("given", "out"), cases("codecs"))

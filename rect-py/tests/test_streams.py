@@ -12,6 +12,7 @@ from typing import Any
 
 import av
 import numpy
+import PIL.Image
 import pytest
 import rect
 from conftest import DEADLINE
@@ -71,6 +72,13 @@ def test_video_arrives_as_pictures(pair: Pair) -> None:
         assert picture.std() > 30, "it has no stripes"
         assert frame.sent_bytes < picture.size / 4
         assert camera.status["groups"][0]["video"]["key_frames"] >= 1
+
+
+def test_an_array_that_is_no_picture_is_refused_in_a_video(pair: Pair) -> None:
+    with pair[0].stream("camera", mode="video") as camera:
+        for frame in (numpy.zeros((240, 320, 3)), numpy.zeros((240, 320, 2), numpy.uint8), PIL.Image.new("I;16", (9, 9))):
+            with pytest.raises(rect.PayloadError, match="picture"):
+                camera.send(frame)
 
 
 def test_ffmpeg_decodes_video(pair: Pair) -> None:

@@ -6,6 +6,9 @@ pytest rect-py/tests/test_values.py
 from __future__ import annotations
 
 import dataclasses
+import datetime
+import enum
+import io
 import json
 import math
 from typing import Any
@@ -17,6 +20,7 @@ import rect
 from hypothesis import given
 from hypothesis import strategies as some
 from hypothesis.extra import numpy as some_numpy
+from rect import _rect
 from rect.values import payload_of
 
 _TEXT = some.text(some.characters(exclude_categories=["Cs"]))
@@ -159,6 +163,107 @@ def test_picture_has_png_representation() -> None:
     assert rect.Picture.of_pixels(1, 1, "grey8", b"\0")._repr_png_().startswith(b"\x89PNG")
 
 
+@dataclasses.dataclass(frozen=True)
+class Key:
+    x: int
+
+
+class Colour(enum.Enum):
+    RED = "red"
+    BLUE = 2
+
+
+RECORDS = numpy.array([(1, 2.5), (3, 4.5)], [("a", "i4"), ("b", "f8")])
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ({numpy.int64(3): 1, numpy.str_("q"): 2, Colour.RED: 3, Colour.BLUE: 4}, {"3": 1, "q": 2, "red": 3, "2": 4}),
+        ({"r": RECORDS}, {"r": [{"a": 1, "b": 2.5}, {"a": 3, "b": 4.5}]}),
+        ({"r": RECORDS[1]}, {"r": {"a": 3, "b": 4.5}}),
+        (RECORDS[1], {"a": 3, "b": 4.5}),
+        ({"m": numpy.ma.array([1, 2], mask=[0, 1])}, {"m": [1, None]}),
+        ({"t": numpy.datetime64("2026-01-02T03:04:05.123456789")}, {"t": "2026-01-02T03:04:05.123456789"}),
+        ({"t": numpy.datetime64("2026-01-02T03:04:05")}, {"t": "2026-01-02T03:04:05"}),
+        ({"t": numpy.datetime64("2026-01-02")}, {"t": "2026-01-02"}),
+        ([numpy.array(["2026-01-02"], "datetime64[ns]")], [["2026-01-02T00:00:00.000000000"]]),
+        ([numpy.array("2026-01-02", "datetime64[D]")], ["2026-01-02"]),
+        ([datetime.date(2026, 1, 2), datetime.time(3, 4)], ["2026-01-02", "03:04:00"]),
+        (rect.Cbor({(1, (2, 3)): 4, None: 5, 1.5: 6}), {(1, (2, 3)): 4, None: 5, 1.5: 6}),
+        (rect.Cbor([2**64, -(2**64) - 1, 2**128 - 1]), [2**64, -(2**64) - 1, 2**128 - 1]),
+    ],
+)
+def test_values_are_exact(value: Any, expected: Any) -> None:
+    assert payload_of(value).value == expected
+
+
+def test_large_integers_in_json_keep_their_digits() -> None:
+    text = b'[18446744073709551616, {"a": -123456789012345678901234567890}, 1e20, "18446744073709551616"]'
+    assert rect.Payload(text, "application/json").value == [
+        18446744073709551616,
+        {"a": -123456789012345678901234567890},
+        1e20,
+        "18446744073709551616",
+    ]
+
+
+def test_equal_keys_of_cbor_are_refused() -> None:
+    with pytest.raises(rect.PayloadError, match="keys of a map are equal"):
+        _ = rect.Payload(b"\xa2\x01\x01\xf5\x02", "application/cbor").value
+
+
+@pytest.mark.parametrize(
+    ("encoding", "value"),
+    [
+        ("application/json; charset=utf-8", [1]),
+        ("Application/JSON", [1]),
+        ("text/json", [1]),
+        ("application/geo+json", [1]),
+        ("zenoh/string", "[1]"),
+        ("TEXT/plain;charset=UTF-8", "[1]"),
+        ("text/plain; charset=utf-16", b"[1]"),
+        ("application/json;zstd", b"[1]"),
+        ("zenoh/serialized", b"[1]"),
+    ],
+)
+def test_media_types_are_compared_without_case_and_parameters(encoding: str, value: Any) -> None:
+    assert rect.Payload(b"[1]", encoding).value == value
+
+
+def test_pictures_with_parameters_are_decoded() -> None:
+    png = payload_of(numpy.zeros((2, 3), numpy.uint8), rect.Codec("png"))
+    assert rect.Payload(png.bytes, "IMAGE/PNG; name=x.png").value == png.value
+
+
+def without_huffman_tables(jpeg: bytes) -> bytes:
+    parts, at = [jpeg[:2]], 2
+    while jpeg[at + 1] != 0xDA:
+        end = at + 2 + int.from_bytes(jpeg[at + 2 : at + 4], "big")
+        if jpeg[at + 1] != 0xC4:
+            parts.append(jpeg[at:end])
+        at = end
+    return b"".join([*parts, jpeg[at:]])
+
+
+@pytest.mark.parametrize("mode", ["L", "RGB"])
+def test_mjpg_of_usb_cameras_is_decoded(mode: str) -> None:
+    # Pillow writes the standard tables, like cameras that leave them out.
+    file = io.BytesIO()
+    PIL.Image.linear_gradient("L").convert(mode).save(file, "JPEG")
+    whole = rect.Payload(file.getvalue(), "image/jpeg")
+    camera = rect.Payload(without_huffman_tables(whole.bytes), "image/jpeg")
+    assert len(camera.bytes) < len(whole.bytes)
+    assert camera.value == whole.value
+
+
+def test_message_is_shown_in_a_notebook_although_it_cannot_be_decoded() -> None:
+    fields = ("wombat-2", None, "arm", "normal", None, None, None, 0, False, False, None, None)
+    message: rect.Message[Any] = rect.Message(_rect.MessageMetadata(fields), rect.Payload(b"{", "application/json"))
+    assert "not valid JSON" in message._repr_html_()
+    assert "not valid JSON" in repr(message)
+
+
 @pytest.mark.parametrize(
     ("value", "text"),
     [
@@ -166,7 +271,21 @@ def test_picture_has_png_representation() -> None:
         ({"arm": [1, 2j]}, "its field arm[1] is of the type complex"),
         ({"x": b"1"}, "its field x is bytes, which JSON cannot represent"),
         ({"x": math.nan}, "its field x is NaN"),
-        ({"x": 2**64}, "its field x is an integer of more than 64 bits"),
+        ({"x": 2**64}, "its field x is an integer of more than 64 bits, which most programs cannot read in JSON"),
+        (rect.Cbor({"x": 2**128}), "its field x is an integer of more than 128 bits: send it as text"),
+        ({1: 1, "1": 2}, "has the key 1 twice"),
+        ({1.5: 1}, "has the key 1.5; keys must be str or int in JSON"),
+        (rect.Cbor({Key(1): 1}), "has the key Key(x=1); keys must be values without a dict in CBOR"),
+        ({"t": datetime.timedelta(1)}, "its field t is a duration: send a number"),
+        ({"t": numpy.timedelta64(3, "s")}, "its field t is a duration: send a number"),
+        ({"t": numpy.datetime64("NaT")}, "its field t is NaT, which is no time: send None"),
+        (numpy.array([3], "datetime64[ns]"), "within a dict or list, as JSON"),
+        (numpy.zeros(2, [("a", "i4")]), "within a dict or list, as JSON"),
+        (numpy.zeros(2, bool), "publish array.tolist() as JSON"),
+        (numpy.ma.array([1, 2], mask=[0, 1]), "array.filled(value)"),
+        (PIL.Image.new("I;16", (2, 2)), "publish numpy.asarray(image), which keeps all bits"),
+        (PIL.Image.new("I", (2, 2)), "publish numpy.asarray(image), which keeps all bits"),
+        (PIL.Image.new("F", (2, 2)), "publish numpy.asarray(image), which keeps all bits"),
         ({"a": {None: 1}}, "its field a has the key None; keys must be str or int in JSON"),
         ({"a": "\ud800"}, "its field a is text that is not UTF-8"),
         (object(), "the value is of the type object"),
@@ -191,8 +310,12 @@ def test_value_that_contains_itself_raises_payload_error() -> None:
 
 
 def test_invalid_picture_is_named() -> None:
-    with pytest.raises(rect.PayloadError, match=r"float64, 3x3"):
+    with pytest.raises(rect.PayloadError, match=r"float64, 3x3.*\(array \* 255\).astype\('uint8'\)"):
         payload_of(numpy.zeros((3, 3)), rect.Codec("jpeg"))
+    with pytest.raises(rect.PayloadError, match=r"uint16, 3x3.*Publish it as an array"):
+        payload_of(numpy.zeros((3, 3), numpy.uint16), rect.Codec("png"))
+    with pytest.raises(rect.PayloadError, match=r"array.filled"):
+        payload_of(numpy.ma.array(numpy.zeros((1, 2), numpy.uint8), mask=[[0, 1]]), rect.Codec("png"))
     with pytest.raises(TypeError, match="not dict"):
         payload_of({}, rect.Codec("png"))
     with pytest.raises(rect.CodecError, match="11 bytes are not the size of 2x2 rgb8"):

@@ -8,7 +8,7 @@ use std::{
 
 use clap::{Args, Subcommand};
 use rect::{
-    Encoding, Frame, Payload, QueueOptions, RobotTopic, StreamOptions, Topic, Watcher, WhenFull,
+    Encoding, EncodingKind, Frame, Payload, QueueOptions, RobotTopic, StreamOptions, Topic, Watcher, WhenFull,
 };
 use rect_core::codec::{jpeg::Jpeg, picture::Picture, Codec, Limits};
 use rect_recording::video_file::VideoFile;
@@ -190,7 +190,7 @@ async fn next_or_stop(watch: &Watcher) -> Result<Option<Frame>, Failure> {
 
 /// Adds a frame to a video, at the time when it was taken.
 fn save_frame(video: &mut VideoFile, frame: &Frame, began: Instant) -> Result<(), Failure> {
-    if frame.payload.encoding != Encoding::H264 {
+    if frame.payload.encoding.kind() != EncodingKind::H264 {
         let kind = &frame.payload.encoding;
         return Err(format!(
             "the stream is not a video, but {kind}: create it with the mode `video`, or use --output"
@@ -211,7 +211,7 @@ fn replace(file: &PathBuf, payload: &Payload) -> Result<(), Failure> {
     let new_file = file.with_extension("new");
     let named = |error: std::io::Error| format!("{}: {error}", file.display());
     // Only a raw payload is decoded here: a picture in another form is written as it is.
-    let is_raw = payload.encoding.media_type() == Encoding::RAW;
+    let is_raw = payload.encoding.kind() == EncodingKind::Raw;
     let bytes = match is_raw && payload.picture(&Limits::default()).is_ok() {
         true => Jpeg::new(QUALITY).encode(payload)?.bytes,
         false => payload.bytes.clone(),

@@ -28,7 +28,7 @@ export function cameras(link, parent, _notify, only = null) {
   parent.append(empty, grid);
 
   function show() {
-    const found = (link.states.topics?.topics ?? []).filter(({ encoding }) => /^(image|video)\//.test(encoding));
+    const found = (link.states.topics?.topics ?? []).filter(({ encoding }) => /^(image|video)\//i.test(encoding));
     const names = new Set(found.map(({ robot, topic }) => `${robot}/${topic}`));
     for (const name of only === null ? chosen() : only.includes("/") ? [only] : []) {
       names.add(name);

@@ -7,7 +7,7 @@ use std::{
 
 use axum::body::Bytes;
 use rect::{
-    Encoding, Frame, Message, Pattern, Payload, QueueOptions, Robot, RobotTopic, Urgency, Watcher,
+    EncodingKind, Frame, Message, Pattern, Payload, QueueOptions, Robot, RobotTopic, Urgency, Watcher,
     WhenFull,
 };
 use rect_core::{
@@ -278,7 +278,7 @@ impl Value {
 
 /// Returns a raw picture, as a decoded video has it, in a form that browsers show. Everything else stays as it is.
 fn for_page(payload: Payload) -> Payload {
-    if payload.encoding.media_type() != Encoding::RAW {
+    if payload.encoding.kind() != EncodingKind::Raw {
         return payload;
     }
     Jpeg::new(QUALITY).encode(&payload).unwrap_or(payload)

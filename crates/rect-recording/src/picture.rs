@@ -8,20 +8,12 @@ use prost_types::{
     field_descriptor_proto::{Label, Type},
     DescriptorProto, FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet, Timestamp,
 };
-use rect_core::message::encoding::Encoding;
+use rect_core::message::encoding::{Encoding, EncodingKind};
 
 use crate::{entry::Entry, schema::Schema};
 
 /// MCAP's name of the encoding.
 pub const PROTOBUF: &str = "protobuf";
-
-/// The encodings that viewers show, and their names in the schemas.
-const FORMATS: [(Encoding, Kind, &str); 4] = [
-    (Encoding::JPEG, Kind::Image, "jpeg"),
-    (Encoding::PNG, Kind::Image, "png"),
-    (Encoding::WEBP, Kind::Image, "webp"),
-    (Encoding::H264, Kind::Video, "h264"),
-];
 
 /// The two kinds of payloads that viewers show as pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -55,9 +47,15 @@ impl Kind {
     }
 }
 
+/// Returns what viewers show of an encoding, and its name in their schemas.
 fn known(encoding: &Encoding) -> Option<(Kind, &'static str)> {
-    let found = FORMATS.iter().find(|(known, ..)| known == encoding);
-    found.map(|&(_, kind, format)| (kind, format))
+    Some(match encoding.kind() {
+        EncodingKind::Jpeg => (Kind::Image, "jpeg"),
+        EncodingKind::Png => (Kind::Image, "png"),
+        EncodingKind::Webp => (Kind::Image, "webp"),
+        EncodingKind::H264 => (Kind::Video, "h264"),
+        _ => return None,
+    })
 }
 
 #[derive(Clone, PartialEq, Message)]

@@ -3,7 +3,7 @@
 use bytes::Bytes;
 use rect_core::{
     codec::Limits,
-    message::{encoding::Encoding, payload::Payload},
+    message::{encoding::{Encoding, EncodingKind}, payload::Payload},
 };
 use serde::de::IgnoredAny;
 use serde_json::{json, Map, Value};
@@ -48,7 +48,7 @@ impl View {
         if let Some((kind, message)) = kind.zip(picture::wrap(entry)) {
             return Self::Picture(kind, message.into());
         }
-        if is_json(&payload.encoding) && is_object(&payload.bytes) {
+        if payload.encoding.kind() == EncodingKind::Json && is_object(&payload.bytes) {
             return Self::Object(Origin::Payload, payload.bytes.clone());
         }
         let (origin, value) = match known_value(payload) {
@@ -72,10 +72,6 @@ impl View {
             Self::Picture(_, message) | Self::Object(_, message) => message,
         }
     }
-}
-
-fn is_json(encoding: &Encoding) -> bool {
-    ["application/json", "text/json"].contains(&encoding.media_type())
 }
 
 /// Returns whether a text is a JSON object.
@@ -120,7 +116,7 @@ pub fn restored(encoding: &Encoding, text: &[u8]) -> Payload {
         return Payload::new(Bytes::copy_from_slice(text), encoding.clone());
     };
     match payload.value::<String>() {
-        Ok(text) if encoding.media_type().starts_with("text/") && !is_json(encoding) => {
+        Ok(text) if encoding.kind() == EncodingKind::Text => {
             Payload::new(text, encoding.clone())
         }
         _ => payload,

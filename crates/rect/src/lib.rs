@@ -43,7 +43,7 @@ pub use rect_core::{
     },
     message::{
         counters::Counters,
-        encoding::Encoding,
+        encoding::{Encoding, EncodingKind},
         gaps::SenderCounts,
         mismatch::Mismatch,
         payload::{Cbor, FromPayload, Json, Payload, PayloadError, ToPayload, ValueOf},

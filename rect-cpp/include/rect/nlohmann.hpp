@@ -72,14 +72,17 @@ private:
 inline expected<nlohmann::json> read_json(const PayloadView& payload) {
     using Json = nlohmann::json;
     const auto encoding = payload.encoding();
-    const bool is_cbor = encoding == "application/cbor";
-    const bool is_json = encoding == "application/json" || encoding == "text/json";
-    if (!is_cbor && !is_json) {
+    const auto kind = payload.kind();
+    if (!kind) {
+        return unexpected<Error>(kind.error());
+    }
+    const bool is_cbor = *kind == EncodingKind::cbor;
+    if (!is_cbor && *kind != EncodingKind::json) {
         const auto text = payload.text();
         if (text) {
             return Json(std::string(*text));
         }
-        return failed(Code::payload, "the payload is " + std::string(encoding) + ", but JSON, CBOR or text is required");
+        return failed(Code::payload, "the payload is " + std::string(encoding) + ", but JSON, CBOR or text in UTF-8 is required");
     }
     const auto bytes = payload.bytes();
     const auto* begin = bytes.data();

@@ -55,6 +55,19 @@ struct Adapter {
     static expected<T> from_payload(const PayloadView& payload);
 };
 
+/// What the bytes of a payload are. Its encoding is compared like any media type, without case and without parameters.
+enum class EncodingKind : std::uint32_t {
+    other = RECT_ENCODING_KIND_OTHER,  ///< Anything else, also text in another character set than UTF-8.
+    json = RECT_ENCODING_KIND_JSON,    ///< JSON: `application/json`, `text/json`, or a type that ends in `+json`.
+    cbor = RECT_ENCODING_KIND_CBOR,    ///< CBOR: `application/cbor`, or a type that ends in `+cbor`.
+    text = RECT_ENCODING_KIND_TEXT,    ///< Text in UTF-8: `text/...`, or `zenoh/string`.
+    png = RECT_ENCODING_KIND_PNG,      ///< A picture: `image/png`.
+    jpeg = RECT_ENCODING_KIND_JPEG,    ///< A picture: `image/jpeg`.
+    webp = RECT_ENCODING_KIND_WEBP,    ///< A picture: `image/webp`.
+    h264 = RECT_ENCODING_KIND_H264,    ///< A frame of a video: `video/h264`.
+    raw = RECT_ENCODING_KIND_RAW,      ///< A raw picture or array, or any bytes: `application/octet-stream`.
+};
+
 /// A payload whose bytes belong to another object: a message, a frame, or a variable of the program.
 class PayloadView {
 public:
@@ -70,6 +83,13 @@ public:
     }
     /// Returns the encoding, e.g. `application/json`.
     [[nodiscard]] std::string_view encoding() const noexcept { return detail::view(raw_.encoding); }
+    /// Returns what the bytes are, by the encoding. Fails with Code::argument if the encoding is too long or not UTF-8.
+    [[nodiscard]] expected<EncodingKind> kind() const {
+        rect_encoding_kind kind;
+        rect_error error;
+        const auto code = rect_payload_kind(&raw_, &kind, &error);
+        return detail::value_or_error<EncodingKind>(code, error, [&] { return static_cast<EncodingKind>(kind); });
+    }
     /// Returns the text. Fails with Code::payload if the encoding is not a kind of text, or if the bytes are not UTF-8.
     [[nodiscard]] expected<std::string_view> text() const {
         rect_text text;

@@ -14,6 +14,13 @@ if TYPE_CHECKING:
 class RectError(Exception):
     """Base class of all errors of RECT. The text says what happened and what to do."""
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        # By default, `pickle` and `copy` would call the class with the text alone.
+        state = dict(self.__dict__)
+        if isinstance(self, OSError):
+            state["errno"] = self.errno
+        return _restored, (type(self), self.args), state
+
 
 class InvalidNameError(RectError, ValueError):
     """The name of a robot or fleet is invalid. Choose another name."""
@@ -197,11 +204,14 @@ class NoGoal(RectError, LookupError):
 
 
 class ActionError(RectError):
-    """A goal was not carried out, or not to its end: `phase` and `reason` say how it ended."""
+    """A goal was not carried out, or not to its end: `phase` and `reason` say how it ended.
+
+    If the phase is `done`, it was carried out, and its result of more than 48 kB cannot be received.
+    """
 
     def __init__(self, phase: Phase, reason: str, result: Any = None) -> None:
         super().__init__(_rect.goal_ended(phase, reason))
-        #: How the goal has ended: `refused`, `failed`, `cancelled`, `preempted` or `lost`.
+        #: How the goal has ended: `refused`, `failed`, `cancelled`, `preempted` or `lost`; `done` if its result is gone.
         self.phase: Phase = phase
         #: Why; empty if that is clear.
         self.reason = reason
@@ -299,6 +309,13 @@ class Closed(RectError):
 
     def __init__(self, text: str = "the session is closed") -> None:
         super().__init__(text)
+
+
+def _restored(cls: type[RectError], args: tuple[Any, ...]) -> RectError:
+    """Returns the error that `RectError.__reduce__` has described, without its attributes."""
+    error = cls.__new__(cls)
+    error.args = args
+    return error
 
 
 def _quoted(value: object) -> str:

@@ -43,6 +43,7 @@ class StreamSender:
         self._session = session
         self._codec = codec
         self._sends_pictures = mode in ("adaptive", "video")
+        self._is_video = mode == "video"
         webp = lossy_format == "webp"
         self._core = _rect.StreamPublish(
             session.key_space, topic, urgency, mode, random.getrandbits(16), webp=webp, **options
@@ -57,13 +58,14 @@ class StreamSender:
 
         Returns the number of groups of receivers to which the frame was sent: 0 to 2. A picture (numpy, Pillow or
         `Picture`) of an adaptive stream is sent at the size and quality that the link allows, and that of a video
-        stream as video. Any other frame is sent unchanged, or compressed by the codec of the stream. A frame is dropped
-        if a slow link cannot accept it, or if the robot is closed meanwhile.
+        stream as video. Any other frame is sent unchanged, or compressed by the codec of the stream; an array that is no
+        picture is an error in a video stream. A frame is dropped if a slow link cannot accept it, or if the robot is
+        closed meanwhile.
 
         Raises `PayloadError`, `CodecError` and `Closed`.
         """
         self._session.check()
-        picture = _picture(frame) if self._sends_pictures and self._codec is None else None
+        picture = _picture(frame, self._is_video) if self._sends_pictures and self._codec is None else None
         # One frame at a time, so that frames are sent in the order of their numbers.
         with self._sending:
             if self._session.is_closed:
@@ -258,11 +260,15 @@ class Watcher:
         return Frame(Payload(payload, encoding), number, age, skipped, lost, sent_bytes)
 
 
-def _picture(frame: Any) -> Picture | None:
-    """Converts the frame to a picture, if it is one."""
+def _picture(frame: Any, is_video: bool) -> Picture | None:
+    """Converts the frame to a picture, if it is one. An array that is none is an error only in a video."""
     if isinstance(frame, (str, bytes, dict, list, tuple, int, float, Payload)) or frame is None:
         return None
     try:
         return Picture(frame)
-    except (TypeError, PayloadError):
+    except TypeError:
+        return None
+    except PayloadError:
+        if is_video:
+            raise
         return None

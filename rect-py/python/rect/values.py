@@ -23,8 +23,6 @@ BYTES = "zenoh/bytes"
 TEXT = "text/plain"
 JSON = "application/json"
 CBOR = "application/cbor"
-_RAW = "application/octet-stream"
-_PICTURES = ("image/png", "image/jpeg", "image/webp")
 _PICTURE_CODECS = ("png", "jpeg", "webp")
 _CHANNELS: dict[PixelFormat, int] = {"grey8": 1, "rgb8": 3, "rgba8": 4}
 _MODES: dict[PixelFormat, str] = {"grey8": "L", "rgb8": "RGB", "rgba8": "RGBA"}
@@ -63,6 +61,9 @@ class Payload:
         """
         return value_of(self)
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return by_slots(self)
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Payload):
             return NotImplemented
@@ -92,7 +93,10 @@ class Cbor:
 class Picture:
     """A picture: rows of pixels from the top left, without padding.
 
-    `numpy.asarray(picture)` returns its pixels, and `picture.pillow()` returns it as a Pillow image.
+    `numpy.asarray(picture)` returns its pixels, and `picture.pillow()` returns it as a Pillow image. Colours are in the
+    order red, green, blue; OpenCV has blue first: `cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)`. The orientation in a
+    picture's EXIF data is not applied, neither to a Pillow image (`PIL.ImageOps.exif_transpose` does so) nor to a
+    received JPEG file. A PNG with 16 bits per channel is read with the upper 8 bits of each.
 
     >>> Picture.of_pixels(2, 1, "rgb8", bytes(6))
     Picture(2x1 rgb8)
@@ -114,7 +118,7 @@ class Picture:
 
         The shape of the array is height x width (grey), or height x width x 3 (RGB) or x 4 (RGBA).
 
-        Raises `PayloadError` if the array has another type or shape.
+        Raises `PayloadError` if the array has another type or shape, or the image more than 8 bits per channel.
         """
         size: tuple[int, int, PixelFormat, bytes]
         if isinstance(picture, Picture):
@@ -165,6 +169,9 @@ class Picture:
     def _repr_png_(self) -> bytes:
         return _rect.Codec("png").encode(*_raw_picture(self))[0]
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return by_slots(self)
+
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Picture):
             return NotImplemented
@@ -182,6 +189,20 @@ class Picture:
         return f"Picture({self.width}x{self.height} {self.format})"
 
 
+def by_slots(value: Any) -> tuple[Any, ...]:
+    """Returns how `pickle` and `copy` make the same object of a class with `__slots__`, in every protocol."""
+    names = [name for cls in type(value).__mro__ for name in getattr(cls, "__slots__", ())]
+    return _restored, (type(value), {name: getattr(value, name) for name in names if hasattr(value, name)})
+
+
+def _restored(cls: type[Any], fields: dict[str, Any]) -> Any:
+    """Returns the object that `by_slots` has described."""
+    made = cls.__new__(cls)
+    for name, value in fields.items():
+        object.__setattr__(made, name, value)
+    return made
+
+
 def payload_of(value: Any, codec: _rect.Codec | None = None) -> Payload:
     """Encodes a value, and compresses it if a codec is given."""
     if codec is None:
@@ -197,18 +218,19 @@ def payload_of(value: Any, codec: _rect.Codec | None = None) -> Payload:
 
 def value_of(payload: Payload) -> Any:
     """Decodes a payload by its encoding."""
-    if payload.encoding in (JSON, CBOR, "text/json"):
+    kind = _rect.encoding_kind(payload.encoding)
+    if kind in ("json", "cbor"):
         return _rect.read_value(payload.bytes, payload.encoding)
-    media_type, _, rest = payload.encoding.partition(";")
-    if media_type.startswith("text/"):
+    if kind == "text":
         try:
             return payload.bytes.decode()
         except UnicodeDecodeError as error:
             text = f"the payload is not valid text: {error}"
             raise PayloadError(text, "read") from None
-    if media_type in _PICTURES or (media_type == _RAW and rest.startswith("picture;")):
+    rest = payload.encoding.partition(";")[2] if kind == "raw" else ""
+    if kind in _PICTURE_CODECS or rest.startswith("picture;"):
         return Picture.of_pixels(*_rect.read_picture(payload.bytes, payload.encoding))
-    if media_type == _RAW and (rest.startswith("array;") or rest == "quantised"):
+    if rest.startswith("array;") or rest == "quantised":
         return _numpy_of(payload)
     return payload.bytes
 
@@ -270,10 +292,32 @@ def _raw_array(array: numpy.ndarray[Any, Any]) -> tuple[bytes, str]:
     kind = f"{array.dtype.kind}{array.dtype.itemsize * 8}"
     if kind not in _ELEMENTS:
         # numpy counts bytes and this library bits: "f4" is f32.
-        raise PayloadError(f"an array of {array.dtype} cannot be sent; possible types: {', '.join(_ELEMENTS)}", "write")
+        text = f"an array of {array.dtype} cannot be sent; possible types: {', '.join(_ELEMENTS)}"
+        raise PayloadError(f"{text}. {_advice(array)}", "write")
+    _check_mask(array)
     little = numpy.ascontiguousarray(array, array.dtype.newbyteorder("<"))
     numbers = little.tobytes()
     return numbers, _rect.array_encoding(kind, list(array.shape), numbers)
+
+
+def _check_mask(array: numpy.ndarray[Any, Any]) -> None:
+    """Raises `PayloadError` if items of a masked array are masked: they would be sent as if they were not."""
+    import numpy
+
+    if isinstance(array, numpy.ma.MaskedArray) and numpy.ma.is_masked(array):
+        text = "items of the array are masked: publish array.filled(value), or array.tolist(), in which they are None"
+        raise PayloadError(text, "write")
+
+
+def _advice(array: numpy.ndarray[Any, Any]) -> str:
+    """Returns how to send an array whose type of elements the encoding for arrays does not have."""
+    if array.dtype.names is not None or array.dtype.kind == "M":
+        return "Publish it within a dict or list, as JSON: {'records': array}"
+    if array.dtype.kind == "m":
+        return "Publish numbers: array / numpy.timedelta64(1, 's')"
+    if array.dtype.kind in "biuf":
+        return "Convert it with array.astype(...), or publish array.tolist() as JSON"
+    return "Publish array.tolist()"
 
 
 def _numpy_of(payload: Payload) -> numpy.ndarray[Any, Any]:
@@ -292,11 +336,23 @@ def _pixels_of_array(array: numpy.ndarray[Any, Any]) -> tuple[int, int, PixelFor
     if array.dtype != "uint8" or array.ndim not in (2, 3) or channels not in formats:
         found = f"{array.dtype}, {'x'.join(map(str, array.shape))}"
         text = f"a picture must be an array of uint8, height x width or height x width x 1, 3 or 4; this one is {found}"
+        if array.dtype.kind == "f":
+            text += ". If its values are 0 to 1, convert it with (array * 255).astype('uint8')"
+        elif array.dtype != "uint8":
+            text += ". Publish it as an array, which keeps all bits, or reduce it to 8 bits"
         raise PayloadError(text, "write")
+    _check_mask(array)
     return int(array.shape[1]), int(array.shape[0]), formats[channels], array.tobytes()
 
 
 def _pixels_of_pillow(image: PIL.Image.Image) -> tuple[int, int, PixelFormat, bytes]:
+    if image.mode.startswith("I") or image.mode == "F":
+        # Pillow would cut off all values above 255.
+        text = (
+            f"a picture has 8 bits per channel, and this one, of the mode {image.mode}, more: publish "
+            "numpy.asarray(image), which keeps all bits, or reduce it to the mode L with the scale that it needs"
+        )
+        raise PayloadError(text, "write")
     modes: dict[str, PixelFormat] = {mode: name for name, mode in _MODES.items()}
     if image.mode not in modes:
         image = image.convert("RGBA" if "transparency" in image.info or "A" in image.mode else "RGB")

@@ -5,7 +5,7 @@ use bytes::Bytes;
 use super::limits::Limits;
 use crate::message::{
     codec_error::{damaged, CodecError},
-    encoding::Encoding,
+    encoding::{Encoding, EncodingKind},
     payload::{Payload, PayloadError, ToPayload},
 };
 
@@ -145,7 +145,7 @@ impl Array {
     pub(super) fn raw(payload: &Payload, limits: &Limits) -> Option<Result<Self, CodecError>> {
         let schema = payload.encoding.schema()?.strip_prefix(KIND)?;
         let schema = schema.strip_prefix(';')?;
-        if payload.encoding.media_type() != Encoding::RAW {
+        if payload.encoding.kind() != EncodingKind::Raw {
             return None;
         }
         let described = || {

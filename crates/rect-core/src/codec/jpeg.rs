@@ -14,6 +14,8 @@ use crate::{
     message::{encoding::Encoding, payload::Payload},
 };
 
+mod huffman;
+
 /// The name of the codec.
 pub const NAME: &str = "jpeg";
 const FORMAT: &str = "JPEG";
@@ -75,8 +77,9 @@ impl Codec for Jpeg {
     }
 }
 
-/// Decodes any JPEG. A truncated picture is rejected instead of being filled with grey.
+/// Decodes any JPEG, also without Huffman tables, as USB cameras send it. A truncated picture is rejected instead of being filled with grey.
 pub(crate) fn read(bytes: &[u8], limits: &Limits) -> Result<Picture, CodecError> {
+    let bytes = &*huffman::complete(bytes);
     let side = usize::from(u16::MAX);
     let options = DecoderOptions::default()
         .set_strict_mode(true)

@@ -6,36 +6,53 @@ use super::{
     array::{Array, Element, Number},
     Limits,
 };
-use crate::message::{encoding::Encoding, payload::Payload};
+use crate::message::{encoding::EncodingKind, payload::Payload};
 
+/// The number of digits of the smallest integer that 64 bits cannot hold.
+const DIGITS: usize = 19;
 /// The texts for numbers that JSON cannot express. Some programs write them into JSON, without quotes.
 pub const NON_FINITE: [&str; 3] = ["NaN", "Infinity", "-Infinity"];
 
 impl Payload {
     /// Returns the value of the payload as JSON, for people and viewers: JSON, CBOR, text, or an array of numbers as nested
-    /// lists. NaN and infinities become the texts `NaN`, `Infinity` and `-Infinity`, other keys than texts become texts, and
+    /// lists. NaN and infinities become the texts `NaN`, `Infinity` and `-Infinity`, integers of more than 64 bits their digits as text, other keys than texts become texts, and
     /// bytes in CBOR become `{"bytes": <their number>}`.
     ///
     /// Returns `None` if the payload has no value, is damaged, or is an array that is larger than `limits` allow.
     pub fn to_json(&self, limits: &Limits) -> Option<Value> {
-        match self.encoding.media_type() {
-            "application/json" | "text/json" => json(&self.bytes),
-            "application/cbor" => {
-                let payload = Self::new(self.bytes.clone(), Encoding::CBOR);
-                payload.value().ok().map(of_cbor)
-            }
-            Encoding::RAW => self.array(limits).ok().map(|array| of_array(&array)),
+        match self.encoding.kind() {
+            EncodingKind::Json => json(&self.bytes),
+            EncodingKind::Cbor => self.value().ok().map(of_cbor),
+            EncodingKind::Raw => self.array(limits).ok().map(|array| of_array(&array)),
             _ => self.text().ok().map(Value::from),
         }
     }
 }
 
 fn json(bytes: &[u8]) -> Option<Value> {
-    let value = serde_json::from_slice(bytes);
-    value.ok().or_else(|| {
+    let value = serde_json::from_slice(bytes).ok();
+    let is_long = |run: &[u8]| run.iter().all(u8::is_ascii_digit);
+    if value.is_some() && !bytes.windows(DIGITS).any(is_long) {
+        return value;
+    }
+    let quoted = || {
         let quoted = with_quotes(std::str::from_utf8(bytes).ok()?)?;
         serde_json::from_str(&quoted).ok()
-    })
+    };
+    quoted().or(value)
+}
+
+/// Returns the length of an integer at the beginning of a text if it has more than 64 bits.
+fn large_integer(text: &str) -> Option<usize> {
+    let sign = usize::from(text.starts_with('-'));
+    let number = &text[sign..];
+    let end = number
+        .find(|c: char| !c.is_ascii_digit())
+        .unwrap_or(number.len());
+    let is_fraction = number[end..].starts_with(['.', 'e', 'E']);
+    let integer = &text[..sign + end];
+    let fits = integer.parse::<i64>().is_ok() || integer.parse::<u64>().is_ok();
+    (end >= DIGITS && !is_fraction && !fits).then_some(integer.len())
 }
 
 /// Puts quotes around the numbers that JSON cannot express. Returns `None` if there are none.
@@ -43,13 +60,18 @@ fn with_quotes(json: &str) -> Option<String> {
     let mut quoted = String::with_capacity(json.len());
     let (mut is_text, mut is_found) = (false, false);
     let mut rest = json;
+    let mut before = ' ';
     while let Some(next) = rest.chars().next() {
-        let number = NON_FINITE.iter().find(|name| rest.starts_with(**name));
+        let name = NON_FINITE.iter().find(|name| rest.starts_with(**name));
+        // Within a number, digits and the point continue it.
+        let is_number = before.is_ascii_alphanumeric() || matches!(before, '.' | '-' | '+');
+        let number = name.map(|name| name.len());
+        let number = number.or_else(|| (!is_number && !is_text).then(|| large_integer(rest))?);
         let length = match number {
-            Some(number) if !is_text => {
+            Some(length) if !is_text => {
                 is_found = true;
-                quoted.extend(["\"", number, "\""]);
-                number.len()
+                quoted.extend(["\"", &rest[..length], "\""]);
+                length
             }
             // The character behind it does not end the text.
             _ if is_text && next == '\\' => {
@@ -63,6 +85,7 @@ fn with_quotes(json: &str) -> Option<String> {
                 next.len_utf8()
             }
         };
+        before = rest[..length].chars().next_back().unwrap_or(before);
         rest = &rest[length..];
     }
     is_found.then_some(quoted)
@@ -75,6 +98,9 @@ fn of_cbor(value: Cbor) -> Value {
         Cbor::Float(number) => of_float(number),
         Cbor::Text(text) => text.into(),
         Cbor::Bytes(bytes) => json!({ "bytes": bytes.len() }),
+        Cbor::Tag(tag @ (2 | 3), value) => {
+            bignum(tag == 3, &value).unwrap_or_else(|| of_cbor(*value))
+        }
         Cbor::Tag(_, value) => of_cbor(*value),
         Cbor::Array(items) => items.into_iter().map(of_cbor).collect(),
         Cbor::Map(fields) => {
@@ -87,6 +113,19 @@ fn of_cbor(value: Cbor) -> Value {
         }
         _ => Value::Null,
     }
+}
+
+/// Returns the digits of an integer of more than 64 bits (RFC 8949, section 3.4.3), if it has at most 128.
+fn bignum(is_negative: bool, value: &Cbor) -> Option<Value> {
+    let bytes = value.as_bytes()?;
+    let mut number = [0; 16];
+    number[16_usize.checked_sub(bytes.len())?..].copy_from_slice(bytes);
+    let number = u128::from_be_bytes(number);
+    let text = match is_negative {
+        true => format!("-{}", number.checked_add(1)?),
+        false => number.to_string(),
+    };
+    Some(text.into())
 }
 
 fn key(name: Cbor) -> String {
@@ -102,7 +141,7 @@ fn of_integer(number: Integer) -> Value {
     let unsigned = || u64::try_from(number).ok().map(Value::from);
     signed
         .or_else(unsigned)
-        .unwrap_or_else(|| of_float(number as f64))
+        .unwrap_or_else(|| number.to_string().into())
 }
 
 fn of_float(number: f64) -> Value {
@@ -150,7 +189,7 @@ mod tests {
     use super::*;
     use crate::{
         codec::{quantised::Quantised, Codec},
-        message::payload::ToPayload,
+        message::{encoding::Encoding, payload::ToPayload},
     };
 
     fn shown(bytes: impl Into<bytes::Bytes>, encoding: Encoding) -> Option<Value> {
@@ -178,6 +217,29 @@ mod tests {
             cbor(&Cbor::Array(floats.into())),
             Some(json!(["NaN", "Infinity", "-Infinity", 1.5]))
         );
+    }
+
+    #[test]
+    fn integers_of_more_than_64_bits_keep_their_digits_as_text() {
+        let json = r#"[18446744073709551616, -9223372036854775809, 18446744073709551615,
+            {"n":123456789012345678901234567890}, "18446744073709551616", 1.23456789012345678901, 12345678901234567890e2, 3.0]"#;
+        let expected = json!([
+            "18446744073709551616", "-9223372036854775809", u64::MAX,
+            {"n": "123456789012345678901234567890"}, "18446744073709551616",
+            1.234_567_890_123_456_8, 12_345_678_901_234_567_890e2, 3.0
+        ]);
+        assert_eq!(shown(json, Encoding::JSON), Some(expected));
+        let large = Integer::try_from(-(i128::from(u64::MAX))).expect("an integer");
+        let text = (-(i128::from(u64::MAX))).to_string();
+        assert_eq!(cbor(&Cbor::Integer(large)), Some(json!(text)));
+        for (number, text) in [
+            (1_i128 << 70, "1180591620717411303424"),
+            (-(1 << 70), "-1180591620717411303424"),
+        ] {
+            let mut bytes = Vec::new();
+            ciborium::into_writer(&number, &mut bytes).expect("written");
+            assert_eq!(shown(bytes, Encoding::CBOR), Some(json!(text)));
+        }
     }
 
     #[test]

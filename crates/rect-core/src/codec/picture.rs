@@ -11,7 +11,7 @@ use crate::{
     cause::Cause,
     message::{
         codec_error::CodecError,
-        encoding::Encoding,
+        encoding::{Encoding, EncodingKind},
         payload::{Payload, PayloadError, ToPayload},
     },
 };
@@ -148,7 +148,7 @@ impl Picture {
     pub(super) fn raw(payload: &Payload, limits: &Limits) -> Option<Result<Self, CodecError>> {
         let schema = payload.encoding.schema()?.strip_prefix(KIND)?;
         let schema = schema.strip_prefix(';')?;
-        if payload.encoding.media_type() != Encoding::RAW {
+        if payload.encoding.kind() != EncodingKind::Raw {
             return None;
         }
         let described = || {

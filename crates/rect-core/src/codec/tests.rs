@@ -55,6 +55,39 @@ fn largest_difference(a: &Payload, b: &Payload) -> u8 {
     pairs.map(|(a, b)| a.abs_diff(*b)).max().unwrap_or(0)
 }
 
+/// MJPG of USB cameras has no Huffman tables; our encoder writes the standard ones.
+#[test]
+fn jpeg_without_huffman_tables_is_read_with_the_standard_ones() {
+    for format in [Format::Grey8, Format::Rgb8] {
+        let whole = codec("jpeg")
+            .encode(&photograph(64, 48, format))
+            .expect("encoded");
+        let mut camera = whole.bytes[..2].to_vec();
+        let mut at = 2;
+        while whole.bytes[at + 1] != 0xda {
+            let length = 2 + usize::from(u16::from_be_bytes([
+                whole.bytes[at + 2],
+                whole.bytes[at + 3],
+            ]));
+            if whole.bytes[at + 1] != 0xc4 {
+                camera.extend_from_slice(&whole.bytes[at..at + length]);
+            }
+            at += length;
+        }
+        camera.extend_from_slice(&whole.bytes[at..]);
+        assert!(camera.len() < whole.bytes.len());
+        let camera = Payload::new(camera, Encoding::JPEG);
+        assert_eq!(
+            camera.picture(&LIMITS).expect("a picture"),
+            whole.picture(&LIMITS).expect("a picture")
+        );
+        for cut in [1, 2, 3, 20, 100, camera.bytes.len() - 1] {
+            let cut = Payload::new(camera.bytes.slice(..cut), Encoding::JPEG);
+            assert!(cut.picture(&LIMITS).is_err());
+        }
+    }
+}
+
 #[test]
 fn codec_names_round_trip() {
     for (spec, name) in [

@@ -2,7 +2,10 @@
 use super::{jpeg, png, quantised, webp, Limits};
 use crate::{
     codec::{array::Array, picture::Picture},
-    message::payload::{Payload, PayloadError},
+    message::{
+        encoding::EncodingKind,
+        payload::{Payload, PayloadError},
+    },
 };
 
 impl Payload {
@@ -13,10 +16,10 @@ impl Payload {
     /// damaged or too large.
     pub fn picture(&self, limits: &Limits) -> Result<Picture, PayloadError> {
         let bytes = &self.bytes;
-        let picture = match self.encoding.media_type() {
-            "image/png" => png::read(bytes, limits),
-            "image/jpeg" => jpeg::read(bytes, limits),
-            "image/webp" => webp::read(bytes, limits),
+        let picture = match self.encoding.kind() {
+            EncodingKind::Png => png::read(bytes, limits),
+            EncodingKind::Jpeg => jpeg::read(bytes, limits),
+            EncodingKind::Webp => webp::read(bytes, limits),
             _ => Picture::raw(self, limits).ok_or_else(|| self.mismatch("a picture"))?,
         };
         Ok(picture?)
@@ -28,7 +31,9 @@ impl Payload {
     /// Returns [`PayloadError::Mismatch`] if the payload is something else, and [`PayloadError::Codec`] if it is
     /// damaged or too large.
     pub fn array(&self, limits: &Limits) -> Result<Array, PayloadError> {
-        if self.encoding.as_str() == quantised::ENCODING {
+        if self.encoding.kind() == EncodingKind::Raw
+            && self.encoding.schema() == Some(quantised::NAME)
+        {
             return Ok(quantised::read(&self.bytes, limits)?);
         }
         Ok(Array::raw(self, limits).ok_or_else(|| self.mismatch("an array"))??)

@@ -18,7 +18,7 @@ use crate::{
 };
 
 /// The name of the codec, and the last part of the encoding of its output.
-pub const NAME: &str = "zstd";
+pub const NAME: &str = Encoding::COMPRESSED;
 
 /// A lossless codec for any payload. Higher levels compress better and take longer: 3 suits most payloads; 19 takes
 /// several hundred times as long.

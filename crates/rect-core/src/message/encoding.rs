@@ -24,11 +24,54 @@ pub struct TooLong {
     pub bytes: usize,
 }
 
+/// What the bytes of a payload are: how they are read. See [`Encoding::kind`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[non_exhaustive]
+pub enum EncodingKind {
+    /// JSON: `application/json`, `text/json`, or a type that ends in `+json`.
+    Json,
+    /// CBOR: `application/cbor`, or a type that ends in `+cbor`.
+    Cbor,
+    /// Text in UTF-8: `text/...`, or `zenoh/string`.
+    Text,
+    /// A PNG picture.
+    Png,
+    /// A JPEG picture.
+    Jpeg,
+    /// A WebP picture.
+    Webp,
+    /// A frame of a video in H.264.
+    H264,
+    /// A raw picture or array, or any bytes: `application/octet-stream`.
+    Raw,
+    /// Anything else. A payload that is still compressed is of this kind.
+    Other,
+}
+
+impl EncodingKind {
+    /// Returns the name: `json`, `cbor`, `text`, `png`, `jpeg`, `webp`, `h264`, `raw` or `other`.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            Self::Json => "json",
+            Self::Cbor => "cbor",
+            Self::Text => "text",
+            Self::Png => "png",
+            Self::Jpeg => "jpeg",
+            Self::Webp => "webp",
+            Self::H264 => "h264",
+            Self::Raw => "raw",
+            Self::Other => "other",
+        }
+    }
+}
+
 /// The encoding of a payload.
 #[derive(Clone, PartialEq, Eq, Hash)]
 pub struct Encoding(Cow<'static, str>);
 
 impl Encoding {
+    /// The last part of the encoding of a payload that was compressed with zstd.
+    pub const COMPRESSED: &'static str = "zstd";
     /// Any bytes; Zenoh's default.
     pub const BYTES: Self = Self(Cow::Borrowed("zenoh/bytes"));
     /// Text in UTF-8.
@@ -81,9 +124,52 @@ impl Encoding {
         self.0.split_once(';').map(|(_, schema)| schema)
     }
 
+    /// Returns what the payload is. Like any media type, the encoding is compared without case and without parameters:
+    /// `Application/JSON; charset=utf-8` is JSON. Only a parameter `charset` other than UTF-8 counts: such text is
+    /// [`EncodingKind::Other`], since it cannot be read.
+    pub fn kind(&self) -> EncodingKind {
+        // Most messages have one of these, and need no further comparison.
+        match self.as_str() {
+            "application/json" => EncodingKind::Json,
+            "zenoh/bytes" => EncodingKind::Other,
+            "text/plain" => EncodingKind::Text,
+            "application/cbor" => EncodingKind::Cbor,
+            _ => self.compared_kind(),
+        }
+    }
+
+    fn compared_kind(&self) -> EncodingKind {
+        let mut parts = self.0.split(';').map(str::trim);
+        let media_type = parts.next().unwrap_or_default();
+        let media_type = media_type.to_ascii_lowercase();
+        let kind = match media_type.as_str() {
+            "application/json" | "text/json" => EncodingKind::Json,
+            "application/cbor" => EncodingKind::Cbor,
+            "zenoh/string" => EncodingKind::Text,
+            "image/png" => EncodingKind::Png,
+            "image/jpeg" => EncodingKind::Jpeg,
+            "image/webp" => EncodingKind::Webp,
+            "video/h264" => EncodingKind::H264,
+            Self::RAW => EncodingKind::Raw,
+            other if other.ends_with("+json") => EncodingKind::Json,
+            other if other.ends_with("+cbor") => EncodingKind::Cbor,
+            other if other.starts_with("text/") => EncodingKind::Text,
+            _ => EncodingKind::Other,
+        };
+        let is_read = match kind {
+            EncodingKind::Json | EncodingKind::Text => parts.clone().all(is_utf8),
+            _ => true,
+        };
+        let is_compressed = parts.next_back() == Some(Self::COMPRESSED);
+        match is_read && !is_compressed {
+            true => kind,
+            false => EncodingKind::Other,
+        }
+    }
+
     /// Returns whether the payload is text, which includes JSON.
     pub fn is_text(&self) -> bool {
-        self.0.starts_with("text/") || *self == Self::JSON
+        matches!(self.kind(), EncodingKind::Text | EncodingKind::Json)
     }
 
     /// Appends `;<suffix>`, for example the name of the codec that compressed the payload.
@@ -97,6 +183,17 @@ impl Encoding {
         let rest = self.0.strip_suffix(suffix)?.strip_suffix(';')?;
         Some(Self(rest.to_owned().into()))
     }
+}
+
+/// Returns whether a parameter of a media type allows reading text as UTF-8.
+fn is_utf8(parameter: &str) -> bool {
+    let Some((name, value)) = parameter.split_once('=') else {
+        return true;
+    };
+    let value = value.trim().trim_matches('"');
+    let known = ["utf-8", "utf8", "us-ascii"];
+    !name.trim().eq_ignore_ascii_case("charset")
+        || known.iter().any(|known| value.eq_ignore_ascii_case(known))
 }
 
 impl fmt::Display for Encoding {
@@ -126,6 +223,38 @@ mod tests {
         assert_eq!(encoded.without_suffix("zstd"), Some(Encoding::JSON));
         assert_eq!(encoded.without_suffix("std"), None);
         assert_eq!(Encoding::JSON.without_suffix("json"), None);
+    }
+
+    #[test]
+    fn a_media_type_is_compared_without_case_and_parameters() {
+        let kinds = [
+            ("application/json; charset=utf-8", EncodingKind::Json),
+            ("Application/JSON", EncodingKind::Json),
+            ("application/json ;charset=\"UTF-8\"", EncodingKind::Json),
+            ("text/json", EncodingKind::Json),
+            ("application/geo+json", EncodingKind::Json),
+            ("application/json;my-schema", EncodingKind::Json),
+            ("application/json;zstd", EncodingKind::Other),
+            ("application/json; charset=utf-16", EncodingKind::Other),
+            ("application/json-seq", EncodingKind::Other),
+            ("APPLICATION/CBOR;v=1", EncodingKind::Cbor),
+            ("application/senml+cbor", EncodingKind::Cbor),
+            ("zenoh/string", EncodingKind::Text),
+            ("zenoh/string;utf-8", EncodingKind::Text),
+            ("Text/Plain; Charset=UTF-8", EncodingKind::Text),
+            ("text/html;charset=iso-8859-1", EncodingKind::Other),
+            ("IMAGE/JPEG", EncodingKind::Jpeg),
+            ("image/png; x=1", EncodingKind::Png),
+            ("image/webp;zstd", EncodingKind::Other),
+            ("video/H264", EncodingKind::H264),
+            ("application/octet-stream;array;f32;3", EncodingKind::Raw),
+            ("zenoh/serialized", EncodingKind::Other),
+            ("", EncodingKind::Other),
+        ];
+        for (text, kind) in kinds {
+            assert_eq!(Encoding::new(text).kind(), kind, "{text}");
+        }
+        assert!(Encoding::new("Application/JSON").is_text());
     }
 
     #[test]

@@ -3,7 +3,7 @@ use bytes::Bytes;
 use serde::{de::DeserializeOwned, Serialize};
 
 use super::{
-    encoding::{Encoding, TooLong},
+    encoding::{Encoding, EncodingKind, TooLong},
     mismatch::{convert, Mismatch},
 };
 use crate::{cause::Cause, message::codec_error::CodecError};
@@ -180,7 +180,7 @@ impl Payload {
     /// are not UTF-8.
     pub fn text(&self) -> Result<&str, PayloadError> {
         if !self.encoding.is_text() {
-            return Err(self.mismatch("text"));
+            return Err(self.mismatch("text in UTF-8"));
         }
         std::str::from_utf8(&self.bytes).map_err(|error| read("text", error))
     }
@@ -199,21 +199,18 @@ impl Payload {
     }
 
     fn parsed<T: DeserializeOwned>(&self) -> Result<T, PayloadError> {
-        if self.is(&Encoding::JSON) || self.encoding.as_str() == "text/json" {
-            serde_json::from_slice(&self.bytes).map_err(|error| read("JSON", error))
-        } else if self.is(&Encoding::CBOR) {
+        match self.encoding.kind() {
+            EncodingKind::Json => {
+                serde_json::from_slice(&self.bytes).map_err(|error| read("JSON", error))
+            }
             // Deeper nesting is rejected, because a peer could overflow the stack with it.
-            ciborium::de::from_reader_with_recursion_limit(&*self.bytes, MAX_DEPTH)
-                .map_err(|error| read("CBOR", error))
-        } else if self.encoding.is_text() {
-            Ok(convert(&self.text()?.into())?)
-        } else {
-            Err(self.mismatch("JSON, CBOR or text"))
+            EncodingKind::Cbor => {
+                ciborium::de::from_reader_with_recursion_limit(&*self.bytes, MAX_DEPTH)
+                    .map_err(|error| read("CBOR", error))
+            }
+            EncodingKind::Text => Ok(convert(&self.text()?.into())?),
+            _ => Err(self.mismatch("JSON, CBOR or text in UTF-8")),
         }
-    }
-
-    fn is(&self, encoding: &Encoding) -> bool {
-        self.encoding == *encoding
     }
 
     pub(crate) fn mismatch(&self, expected: &'static str) -> PayloadError {

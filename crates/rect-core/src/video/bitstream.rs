@@ -7,7 +7,7 @@ use h264_reader::{
 
 #[cfg(feature = "video")]
 use super::FORMAT;
-use crate::message::{encoding::Encoding, payload::Payload};
+use crate::message::{encoding::EncodingKind, payload::Payload};
 #[cfg(feature = "video")]
 use crate::{
     codec::Limits,
@@ -22,7 +22,7 @@ const PICTURE_PARAMETERS: u8 = 8;
 
 /// Returns whether a payload is a frame of a video.
 pub fn is_video(payload: &Payload) -> bool {
-    payload.encoding == Encoding::H264
+    payload.encoding.kind() == EncodingKind::H264
 }
 
 /// Returns whether a decoder can begin with this frame: it has parameter sets, and refers to no other frame.

@@ -242,7 +242,7 @@ fn attachments_round_trip() {
 
 #[test]
 fn encodings_are_split() {
-    let about = "The parts of the encoding `in`; `below` is the encoding after decompression with zstd, null if it is not compressed.";
+    let about = "The parts of the encoding `in`; `below` is the encoding after decompression with zstd, null if it is not compressed; `kind` is what a payload with this encoding is.";
     check("encodings", about, seeds::encodings(), |input| {
         let encoding = Encoding::new(text(input).to_owned());
         let below = encoding.without_suffix("zstd");
@@ -250,6 +250,7 @@ fn encodings_are_split() {
             "media_type": encoding.media_type(),
             "schema": encoding.schema(),
             "below": below.as_ref().map(Encoding::as_str),
+            "kind": encoding.kind().as_str(),
         })
     });
 }
