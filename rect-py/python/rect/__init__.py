@@ -11,10 +11,12 @@
 `rect.aio` is the API for asyncio. All errors are subclasses of `RectError`.
 """
 
+from rect import _rect
 from rect._rect import Codec, Dictionary, __version__
 from rect.action import Action, Goal
 from rect.action_run import ActionRun, Feedback, KnownGoal
 from rect.alert import Alert
+from rect.annotations import complete as _complete_annotations
 from rect.choices import (
     Confirmation,
     ConnectionState,
@@ -78,6 +80,7 @@ from rect.reply import Gathered, Outcome, Reply
 from rect.request import Replies
 from rect.robot import Robot, connect
 from rect.service import Refusal, Request, Service
+from rect.session import Session as _Session
 from rect.stop import FleetStop, Stop
 from rect.stream import Frame, StreamSender, Watcher
 from rect.subscriber import SenderCounts, Subscriber, Subscription
@@ -195,3 +198,5 @@ __all__ = [
     "__version__",
     "connect",
 ]
+
+_complete_annotations({"Phase": Phase, "Robot": Robot, "Session": _Session, "_rect": _rect})

@@ -21,6 +21,7 @@ from typing import Any, Generic, TypeVar, overload
 
 import zenoh as stock
 
+from rect.annotations import complete as _complete_annotations
 from rect import _rect, action_run
 from rect import robot as blocking
 from rect.action import ActionExecutor
@@ -1224,3 +1225,6 @@ class Service:
         finally:
             request.close()
             self._room.release()
+
+
+_complete_annotations({})
