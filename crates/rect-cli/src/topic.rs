@@ -5,15 +5,11 @@ use std::{process::ExitCode, time::Duration};
 use clap::{Args, Subcommand};
 use rect::{Name, Payload, Robot, RobotTopic, Topic};
 use rect_core::{
-<<<<<<< Updated upstream
+    action,
     registry::{
         topics::{TopicReport, Topics, MAX_TOPICS, WINDOW},
         usage::{on_air, percent, LinkUsage},
     },
-=======
-    action,
-    registry::topics::{TopicReport, Topics, WINDOW},
->>>>>>> Stashed changes
     text::{
         display::line,
         humanize::{bytes, duration},
