@@ -6,8 +6,9 @@ import threading
 import time
 from pathlib import Path
 
+import rect
 import zenoh
-from robots import Robot, wait_until
+from robots import Robot, rect_settings, wait_until
 from room import Room, wait_for_link
 from table import Table
 
@@ -32,6 +33,9 @@ def run() -> Table:
         f"A message: the mean of {SAMPLES}, one at a time, from a stock Python client's declared publisher to a stock "
         "subscriber, `config/simulation.json5`. L2CAP adds 6 bytes to an SDU of up to 245 bytes, and the link "
         "layer 10 bytes to each of its packets (1M PHY).",
+        "RECT: the same with the library, whose attachment has 10 or 11 bytes and 3 before it. A subscription to "
+        "`wombat-1/pose` makes the key a number; for one with a wildcard in place of the robot, it makes "
+        "the beginning of the key one, and each message carries the topic.",
         "Establishing a link: hello, Zenoh's handshake, and the routers' information about each other.",
         f"From the start of a router (process included) to its link, medians of {LINK_UPS}: "
         + ", ".join(
@@ -45,14 +49,17 @@ def run() -> Table:
 def rows(table: Table, link: str, ble_options: str) -> list[float]:
     """Adds the rows of one kind of link, and returns the times to establish it."""
     with Room("room") as room:
-        one = room.add_robot("wombat-1", ble_options=ble_options)
+        settings = [tuple(rect_settings({"robot": name})) for name in ("wombat-1", "wombat-2")]
+        one = room.add_robot("wombat-1", ble_options=ble_options, arguments=settings[0])
         before = sent(room)
-        two = room.add_robot("wombat-2", ble_options=ble_options)
+        two = room.add_robot("wombat-2", ble_options=ble_options, arguments=settings[1])
         wait_for_link(one, two)
         with one.session() as here, two.session() as there:
             link_up = settled(room, before)
             for size in (8, 100):
                 row(table, link, room, here, there, size)
+        for pattern, size in (("wombat-1/pose", 18), ("wombat-1/pose", 81), ("*/speed", 18)):
+            library_row(table, link, room, (one, two), pattern, size)
         table.add(link, "establishing a link, both directions", f"{link_up[0]}", f"{link_up[1]}", "", "")
         return [link_up_s(two) for _ in range(LINK_UPS)]
 
@@ -77,6 +84,36 @@ def row(table: Table, link: str, room: Room, here: zenoh.Session, there: zenoh.S
     table.add(link, f"a message of {size} B", *cells)
     publisher.undeclare()
     subscriber.undeclare()
+
+
+def library_row(table: Table, link: str, room: Room, robots: tuple[Robot, Robot], pattern: str, size: int) -> None:
+    """Adds the row of a message of the library."""
+    one, two = robots
+    with (
+        rect.connect("wombat-1", router=one.endpoint(), program=None) as here,
+        rect.connect("wombat-2", router=two.endpoint(), program=None) as there,
+        there.subscribe(pattern) as subscriber,
+    ):
+        publisher = here.publisher(pattern.partition("/")[2])
+
+        def arrives() -> bool:
+            publisher.publish(b"?")
+            try:
+                subscriber.next(timeout=0.2)
+            except rect.TimedOut:
+                return False
+            return True
+
+        wait_until("a message arrives", 20, arrives)
+        settled(room, (0, 0))
+        before = sent(room, "sim-wombat-1")
+        for _ in range(SAMPLES):
+            publisher.publish(bytes(size))
+            subscriber.next(timeout=10)
+        after = sent(room, "sim-wombat-1")
+    sdus, in_bytes = (after[0] - before[0]) / SAMPLES, (after[1] - before[1]) / SAMPLES
+    about = f"RECT, {size} B, for `{pattern}`"
+    table.add(link, about, f"{sdus:.2f}", f"{in_bytes:.1f}", f"{in_bytes - size:.1f}", "")
 
 
 def sent(room: Room, adapter: str | None = None) -> tuple[int, int]:

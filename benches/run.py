@@ -41,6 +41,7 @@ BENCHES = {
     "video_links": "a camera's video over links with Bluetooth alone, beside links that carry nothing",
     "actions": "actions compared with plain Zenoh: start and cancel, alone and beside 1 MB; feedback",
     "logs": "logs: urgent messages beside 10,000 lines a second, the last lines of a crash, memory",
+    "throttle": "subscriptions that ask for fewer messages, compared with stock Zenoh's downsampling: bytes on the air",
     "state": "retained topics compared with zenoh-ext, MQTT and NetworkTables: a late subscriber, and after a cut",
     "parameters": "parameters compared with NetworkTables: a slider beside 1 MB, idle, a restart, a cut, a wrong type",
     "transfer": "a file of 5 MB over a slow link, without and with three cuts; concurrent urgent messages",

@@ -1,13 +1,22 @@
 //! Decodes untrusted attachments, headers of requests and keys. A decoded value must encode to the same value; a message key must equal
-//! the key that its sender builds from the decoded address. A request that is carried out at most once is not carried out again.
+//! the key that its sender builds from the decoded address. A request that is carried out at most once is not carried out again. What asks
+//! for fewer messages, and those messages, are handled.
 use std::time::Instant;
 
 use rect_core::{
     catalogue::Instance,
-    driver::Answer,
-    message::{attachment::{Attachment, MAX_BYTES}, request::RequestHeader},
+    driver::{Answer, Driver, Event, Id, Sample, Step},
+    message::{
+        attachment::{Attachment, MAX_BYTES},
+        encoding::Encoding,
+        payload::Payload,
+        request::RequestHeader,
+        throttled::{header::Header, Wish},
+        Delivery, Inbound,
+    },
     name::{key::KeySpace, Name, topic::Pattern},
     retry::once::{Admission, Once},
+    throttle::Throttle,
 };
 
 fn name(text: &str) -> Name {
@@ -32,12 +41,13 @@ pub fn run(bytes: &[u8]) {
         let again = once.on_request(now, Some(&header), ());
         assert_eq!(matches!(again, Admission::Execute(..)), header.once_by.is_none());
     }
-    let Ok(text) = std::str::from_utf8(bytes) else {
-        return;
-    };
     let here = KeySpace {
         fleet: name("rect"),
         robot: name("w"),
+    };
+    throttled(&here, bytes);
+    let Ok(text) = std::str::from_utf8(bytes) else {
+        return;
     };
     if let Some(address) = here.address(text) {
         let there = KeySpace {
@@ -52,5 +62,40 @@ pub fn run(bytes: &[u8]) {
     }
     if let Ok(pattern) = Pattern::new(text) {
         assert_eq!(Pattern::new(&pattern.to_string()), Ok(pattern));
+    }
+}
+
+/// A subscriber receives the bytes as the attachment of a throttled message, and a throttle as the rest of a token and as a message.
+fn throttled(here: &KeySpace, bytes: &[u8]) {
+    if let Some((header, attachment)) = Header::decode(bytes) {
+        let again = header.encode(Some(attachment));
+        assert_eq!(Header::decode(&again).map(|(header, _)| header), Some(header));
+    }
+    let (Ok(pattern), Ok(wish)) = (Pattern::new("*/x"), Wish::new(Some(2.0), true)) else {
+        return;
+    };
+    let mut inbound = Inbound::of_pattern(here.clone(), &pattern, wish, Instant::now());
+    for number in 0..2 {
+        let delivery = Delivery {
+            key: "rect/v/@rect/throttled/w/x",
+            payload: Payload::new(vec![number], Encoding::BYTES),
+            attachment: Some(bytes),
+            priority: 5,
+            is_deleted: false,
+            subscription: 0,
+        };
+        let _ = inbound.on_delivery(delivery, Instant::now);
+    }
+    let mut throttle = Throttle::new(here.clone());
+    for (id, key) in [(0, "rect/v/@rect/throttle"), (1, "rect/w")] {
+        let sample = Sample {
+            key: format!("{key}/{}", String::from_utf8_lossy(bytes)),
+            payload: Payload::new(bytes.to_vec(), Encoding::BYTES),
+            attachment: Some(bytes.to_vec().into()),
+            is_deleted: false,
+            priority: Sample::PRIORITY,
+        };
+        let _ = throttle.on_event(Instant::now(), Event::Sample { id: Id(id), sample });
+        while !matches!(throttle.poll(Instant::now()), Step::Wait(_)) {}
     }
 }

@@ -152,6 +152,10 @@ typedef enum rect_event_kind {
     RECT_EVENT_KIND_PROGRAM_UP = 7,
     // A program has ended, or its robot became unreachable.
     RECT_EVENT_KIND_PROGRAM_DOWN = 8,
+    // Nothing has been received over a link for longer than usual. It may end, or resume.
+    RECT_EVENT_KIND_LINK_SILENT = 9,
+    // Something has been received over a link that was silent.
+    RECT_EVENT_KIND_LINK_RESUMED = 10,
 } rect_event_kind;
 
 // The kind of a `rect_log_item`.

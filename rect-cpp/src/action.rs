@@ -178,7 +178,9 @@ fn serve(
 /// ```
 ///
 /// Each goal has one end, which its client learns also after a cut. The robot's router keeps it for 10 minutes, and at most 16 for each
-/// action. A callback that is cancelled should end soon (`rect_goal_is_cancelled`): a newer goal waits for that. A goal is also cancelled
+/// action. A result has at most 16 MB; this program keeps one of more than 48 kB for its clients, while it runs.
+///
+/// A callback that is cancelled should end soon (`rect_goal_is_cancelled`): a newer goal waits for that. A goal is also cancelled
 /// when its client has left (`lost_after_ms`), and by the stop of the fleet, in which this program takes part.
 ///
 /// `action_name` has 1 to 40 letters, digits, `_`, `-` and `.`. `options` may be NULL: the defaults. `release` is called once with
@@ -297,7 +299,8 @@ pub extern "C" fn rect_goal_sleep(
     })
 }
 
-/// Gives a goal its result: a payload of at most 48 kB. NULL: none. `goal` is the goal's `id`. The goal ends when the callback returns.
+/// Gives a goal its result: a payload of at most 16 MB. NULL: none. `goal` is the goal's `id`. The goal ends when the callback returns. This
+/// program keeps a result of more than 48 kB for 10 minutes, as long as it runs.
 ///
 /// Returns `RECT_CODE_ARGUMENT` if it has a result or a failure already, and `RECT_CODE_HANDLE` after the callback has returned. May be
 /// called on any thread.

@@ -144,9 +144,9 @@ pub struct KnownGoal {
     pub age_ms: u64,
     /// The goal itself; empty if it is long, or there is none.
     pub goal: PayloadView,
-    /// Whether it has a result.
+    /// Whether `result` has one.
     pub has_result: bool,
-    /// The result; empty if there is none.
+    /// The result; empty if there is none, or it has more than 48 kB: `rect_action_run_result` writes it.
     pub result: PayloadView,
 }
 
@@ -310,8 +310,12 @@ pub unsafe extern "C" fn rect_robot_start(
     call(error, || {
         require_out("run", &run)?;
         // SAFETY: the caller follows the rules of rect.h.
-        let (target, action) =
-            unsafe { (text("target", target)?, text("action_name", action_name)?) };
+        let (target, action) = unsafe {
+            (
+                text("target", target)?,
+                text("action_name", action_name)?,
+            )
+        };
         let mut described = rect::StartOptions::new();
         if let Some(options) = options {
             // SAFETY: the caller follows the rules of rect.h.
@@ -534,12 +538,13 @@ pub extern "C" fn rect_action_run_cancel(
 }
 
 /// Waits for the end of a goal, and writes its result to `result`: text, JSON or bytes; `null` as JSON if there is none. A robot that cannot
-/// be reached does not end the wait.
+/// be reached does not end the wait. A result of more than 48 kB is received from the program that has carried out the goal, which has to
+/// run until then.
 ///
-/// Returns `RECT_CODE_GOAL` if the goal was not reached: the text states the end and the reason, and `rect_action_run_status` has both;
-/// `RECT_CODE_TIMED_OUT` if it has not ended within `timeout_ms` (`RECT_FOREVER` waits without a limit): the text states its phase, and for
-/// how long it has been in it; and `RECT_CODE_CLOSED` if the session was closed or another thread dropped the handle. May be called on any
-/// thread.
+/// Returns `RECT_CODE_GOAL` if the goal was not reached, or its result is gone: the text states the end and the reason, and
+/// `rect_action_run_status` has both; `RECT_CODE_TIMED_OUT` if it has not ended within `timeout_ms` (`RECT_FOREVER` waits without a limit):
+/// the text states its phase, and for how long it has been in it, or how much of the result has arrived; and `RECT_CODE_CLOSED` if the
+/// session was closed or another thread dropped the handle. May be called on any thread.
 #[no_mangle]
 pub extern "C" fn rect_action_run_result(
     run: ActionRun,

@@ -35,6 +35,10 @@ pub enum EventKind {
     ProgramUp = 7,
     /// A program has ended, or its robot became unreachable.
     ProgramDown = 8,
+    /// Nothing has been received over a link for longer than usual. It may end, or resume.
+    LinkSilent = 9,
+    /// Something has been received over a link that was silent.
+    LinkResumed = 10,
 }
 
 /// A change of a robot, a link or the router. It is valid until the callback returns.
@@ -96,6 +100,10 @@ fn view(event: &rect::Event) -> Event {
         }
         rect::Event::LinkUp(link) => of(EventKind::LinkUp, link.robot.as_ref(), Some(link)),
         rect::Event::LinkDown(link) => of(EventKind::LinkDown, link.robot.as_ref(), Some(link)),
+        rect::Event::LinkSilent(link) => of(EventKind::LinkSilent, link.robot.as_ref(), Some(link)),
+        rect::Event::LinkResumed(link) => {
+            of(EventKind::LinkResumed, link.robot.as_ref(), Some(link))
+        }
         rect::Event::PathSwitched { link, path, reason } => Event {
             path: Text::of(path),
             reason: Text::of(reason.as_str()),

@@ -86,7 +86,7 @@ pub enum Code {
     NoAction = 33,
     /// The robot does not know the goal: it never began, or ended more than ten minutes ago.
     NoGoal = 34,
-    /// A goal was not carried out, or not to its end. The text states how it ended, and why.
+    /// A goal was not carried out, or not to its end, or its result cannot be received. The text states how it ended, and why.
     Goal = 35,
     /// The goal was cancelled while the function that carries it out was sleeping. It should end soon.
     Cancelled = 36,

@@ -129,6 +129,17 @@ TEST_CASE("text, and nothing, are results, too") {
     CHECK(none.is_null());
 }
 
+TEST_CASE("a large result arrives, and one that is too large is a failure") {
+    Pair pair;
+    const auto action = must(pair.two.action("map", [](rect::Goal& goal) {
+        return std::string(static_cast<std::size_t>(must(goal.payload.value<int>())), 'x');
+    }));
+    const auto large = start(pair.one, "map", 10'000'000);
+    CHECK(must(large.result<std::string>(deadline)) == std::string(10'000'000, 'x'));
+    const auto too_large = start(pair.one, "map", 17'000'000);
+    CHECK_THAT(reason_of(too_large, rect::Phase::failed), ContainsSubstring("send it as a transfer"));
+}
+
 TEST_CASE("exceptions and errors of the function are failures") {
     Pair pair;
     const auto action = must(pair.two.action("dig", [](rect::Goal& goal) -> rect::expected<int> {

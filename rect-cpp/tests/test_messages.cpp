@@ -137,6 +137,34 @@ TEST_CASE("a full queue drops according to its options and counts the dropped me
     CHECK(first + 3 <= last);
 }
 
+TEST_CASE("a subscription that asks for fewer messages skips the others and receives the last one") {
+    Pair pair;
+    rect::SubscribeOptions options;
+    options.max_hz = 20;
+    const auto throttled = must(pair.two.subscribe("wombat-1/pose", options));
+    until([&] {
+        must(pair.one.publish("pose", "0"));
+        return throttled.next(20ms).has_value();
+    });
+    for (int n = 1; n <= 200; ++n) {
+        must(pair.one.publish("pose", std::to_string(n)));
+    }
+    std::uint64_t received = 0;
+    std::uint64_t skipped = 0;
+    for (std::string value; value != "200"; ++received) {
+        const auto message = must(throttled.next(deadline));
+        value = must(message.payload.text());
+        skipped += message.skipped();
+        CHECK(message.missed() == 0);
+    }
+    CHECK(received < 100);
+    CHECK(skipped > 100);
+    options.max_hz = 1e6;
+    const auto refused = pair.two.subscribe("wombat-1/pose", options);
+    REQUIRE_FALSE(refused.has_value());
+    CHECK(refused.error().code == rect::Code::option);
+}
+
 TEST_CASE("counters, peers and events reflect messages and reachable robots") {
     Pair pair;
     const auto subscriber = must(pair.two.subscribe("*/n"));

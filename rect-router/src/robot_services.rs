@@ -11,7 +11,7 @@ use rect_core::{
     state::keeper::IsServed,
     text::humanize,
 };
-use zenoh::{Config, Session, Wait};
+use zenoh::{pubsub::Subscriber, Config, Session, Wait};
 
 use crate::{
     catalogue,
@@ -40,6 +40,7 @@ pub struct RunningServices {
     _state: Arc<KeptState>,
     _log: KeptLog,
     _throttle: RunningThrottle,
+    _prefix: Subscriber<()>,
 }
 
 impl Drop for RunningServices {
@@ -166,8 +167,17 @@ impl RobotServices {
             _state: state,
             _log: log,
             _throttle: throttle,
+            _prefix: declare_prefix(session, &keys)?,
         })
     }
+}
+
+/// Makes Zenoh give the beginning of the robot's keys, `<fleet>/<robot>`, a number on each link, when the link begins. Subscriptions with a
+/// wildcard in place of the robot would otherwise cost the text in each message. Zenoh declares the part of a key before its first wildcard;
+/// no message matches this one.
+fn declare_prefix(session: &Session, keys: &str) -> zenoh::Result<Subscriber<()>> {
+    let subscriber = session.declare_subscriber(format!("{keys}/*/@rect/none"));
+    subscriber.callback(|_| ()).wait()
 }
 
 /// Returns whether a program serves a topic.

@@ -7,7 +7,7 @@ use std::{
 
 use axum::body::Bytes;
 use rect::{
-    EncodingKind, Frame, Message, Pattern, Payload, QueueOptions, Robot, RobotTopic, Urgency, Watcher,
+    EncodingKind, Frame, Message, Pattern, Payload, QueueOptions, Robot, RobotTopic, SubscribeOptions, Urgency, Watcher,
     WhenFull,
 };
 use rect_core::{
@@ -22,6 +22,8 @@ use crate::protocol::{self, DataHeader};
 
 /// The number of values that wait for the slowest browser's task.
 const CAPACITY: usize = 64;
+/// How many values of a topic a browser shows a second at most: more cannot be read, and they would take room on the air.
+const SHOWN_HZ: f64 = 30.0;
 /// The largest picture that is shown, in bytes.
 const MAX_PICTURE: usize = 4 << 20;
 /// The quality of the pictures of a video for a browser that does not decode it.
@@ -151,7 +153,12 @@ impl Feed {
             });
         } else {
             let pattern = Pattern::of(Some(topic.robot.clone()), topic.topic.as_str())?;
-            let subscriber = robot.subscribe_with::<Payload>(pattern, queue).await?;
+            let options = SubscribeOptions {
+                queue,
+                max_hz: Some(SHOWN_HZ),
+                ..SubscribeOptions::default()
+            };
+            let subscriber = robot.subscribe_with::<Payload>(pattern, options).await?;
             receiving.spawn(async move {
                 while let Some(message) = subscriber.next().await {
                     let Some(feed) = feed.upgrade() else { return };

@@ -200,7 +200,7 @@ struct KnownGoal {
     std::chrono::milliseconds age;
     /// The goal itself; empty if it is long, or there is none.
     Payload goal;
-    /// The result.
+    /// The result, unless it has more than 48 kB: ActionRun::result returns it.
     std::optional<Payload> result;
 };
 
@@ -292,11 +292,12 @@ public:
 
     /// Waits for the end of the goal, and returns its result: a value of type `T` with `result<T>()`, otherwise a Buffer of text,
     /// JSON or bytes, which is `null` as JSON if there is none. A robot that cannot be reached does not
-    /// end the wait.
+    /// end the wait. A result of more than 48 kB is received from the program that has carried out the goal, which has to run until then.
     ///
-    /// Fails with Code::goal if the goal was not reached: the text states the end and the reason, and `status` has both; with
-    /// Code::timed_out if it has not ended within `timeout`: the text states its phase, and for how long it has been in it; with
-    /// Code::payload if the result does not fit; and with Code::closed if the session was closed or another thread dropped this object.
+    /// Fails with Code::goal if the goal was not reached, or its result is gone: the text states the end and the reason, and `status` has
+    /// both; with Code::timed_out if it has not ended within `timeout`: the text states its phase, and for how long it has been in it, or how
+    /// much of the result has arrived; with Code::payload if the result does not fit; and with Code::closed if the session was closed or
+    /// another thread dropped this object.
     template <class T = void>
     [[nodiscard]] auto result(Milliseconds timeout = forever) const
         -> expected<std::conditional_t<std::is_void_v<T>, Buffer, T>> {

@@ -156,6 +156,10 @@ public:
         program_up = RECT_EVENT_KIND_PROGRAM_UP,
         /// A program has ended, or its robot became unreachable.
         program_down = RECT_EVENT_KIND_PROGRAM_DOWN,
+        /// Nothing has been received over a link for longer than usual. It may end, or resume.
+        link_silent = RECT_EVENT_KIND_LINK_SILENT,
+        /// Something has been received over a link that was silent.
+        link_resumed = RECT_EVENT_KIND_LINK_RESUMED,
     };
 
     /// Refers to a struct of rect.h.

@@ -49,6 +49,7 @@ struct QueueOptions {
 struct SubscribeOptions {
     SubscribeOptions() = default;
     SubscribeOptions(QueueOptions settings) : queue(settings) {}  // NOLINT(google-explicit-constructor)
+    SubscribeOptions(std::size_t capacity, WhenFull when_full) : queue{capacity, when_full} {}
 
     /// The settings of the receive queue.
     QueueOptions queue;

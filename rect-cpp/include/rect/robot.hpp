@@ -721,7 +721,8 @@ public:
     ///     }));
     ///
     /// Each goal has one end, which its client learns also after a cut. The robot's router keeps it for 10 minutes, and at most 16 for each
-    /// action. A function that is cancelled should end soon (Goal::is_cancelled; Goal::sleep throws): a newer goal waits for that. A goal
+    /// action. A result has at most 16 MB; this program keeps one of more than 48 kB for its clients, while it runs.
+    /// A function that is cancelled should end soon (Goal::is_cancelled; Goal::sleep throws): a newer goal waits for that. A goal
     /// is also cancelled when its client has left (ActionOptions::lost_after), and by the stop of the fleet, in which this program takes part.
     ///
     /// Fails with Code::action if the name is invalid (1 to 40 letters, digits, `_`, `-` and `.`), and with Code::service_refused if a

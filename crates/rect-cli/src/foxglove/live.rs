@@ -6,7 +6,7 @@ use std::{
 };
 
 use foxglove::{websocket::ConnectionGraph, ChannelBuilder, Context, RawChannel, Schema, SinkId};
-use rect::{Pattern, Robot, Subscriber};
+use rect::{Pattern, Robot, SubscribeOptions, Subscriber};
 use rect_core::{clock::unix::since_1970, message::encoding::Encoding, registry::topics::Topics};
 use rect_recording::{
     entry::Entry,
@@ -23,6 +23,8 @@ use super::listener::Event;
 pub(super) const KEPT: Duration = Duration::from_secs(2);
 /// The shortest time between two forms of a topic, because each one is a new channel for all viewers.
 const CHANGED_AT_MOST_EVERY: Duration = Duration::from_secs(5);
+/// How many messages of a topic a viewer is sent a second at most: as many as a screen shows.
+const SHOWN_HZ: f64 = 60.0;
 /// The largest number of topics that are offered.
 const MAX_TOPICS: usize = 4096;
 
@@ -109,7 +111,12 @@ impl Live {
             if is_shown {
                 offered.unused_since = None;
                 if offered.receiving.is_empty() {
-                    let subscriber = self.robot.subscribe(&offered.pattern).await?;
+                    let options = SubscribeOptions {
+                        max_hz: Some(SHOWN_HZ),
+                        ..SubscribeOptions::default()
+                    };
+                    let pattern = offered.pattern.clone();
+                    let subscriber = self.robot.subscribe_with(pattern, options).await?;
                     offered
                         .receiving
                         .spawn(receive(subscriber, offered.shown.clone()));

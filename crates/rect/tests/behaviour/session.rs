@@ -8,7 +8,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use rect::{Cbor, Error, Json, Payload, QueueOptions, Robot, Urgency, WhenFull};
+use rect::{Cbor, Error, Json, Payload, QueueOptions, Robot, SubscribeOptions, Urgency, WhenFull};
 
 use crate::pair::{dialling, free_endpoint, listening, pair, TIMEOUT};
 use serde::{Deserialize, Serialize};
@@ -205,6 +205,40 @@ async fn callback_is_called_again_after_a_panic() {
         .expect("subscribed");
     until_received(&a, "beat", || calls.load(Ordering::Acquire) >= 3).await;
     drop(subscription);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn subscription_for_fewer_messages_skips_the_others_and_receives_the_last() {
+    let (a, b) = pair("a", "b").await;
+    let options = SubscribeOptions {
+        max_hz: Some(20.0),
+        ..SubscribeOptions::default()
+    };
+    let throttled = b.subscribe_with::<Payload>("a/n", options).await;
+    let throttled = throttled.expect("subscribed");
+    until_received(&a, "n", || throttled.try_next().is_some()).await;
+    for n in 1..=200 {
+        a.publish("n", Json(n)).await.expect("published");
+    }
+    let (mut received, mut skipped) = (0, 0);
+    loop {
+        let next = timeout(TIMEOUT, throttled.next()).await.expect("in time");
+        let message = next.expect("open");
+        (received, skipped) = (received + 1, skipped + message.skipped);
+        assert_eq!(message.missed, 0);
+        if message.payload.bytes == b"200"[..] {
+            break;
+        }
+    }
+    assert!(received < 100, "{received}");
+    assert!(skipped > 100, "{skipped}");
+    let options = SubscribeOptions {
+        max_hz: Some(0.0),
+        ..SubscribeOptions::default()
+    };
+    let refused = b.subscribe_with::<Payload>("a/n", options).await;
+    let text = refused.err().map(|error| error.to_string());
+    assert!(text.is_some_and(|text| text.contains("max_hz")));
 }
 
 #[tokio::test(flavor = "multi_thread")]
