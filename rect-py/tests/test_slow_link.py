@@ -1,4 +1,4 @@
-"""Tests what a router reports about its slow links: the bytes on the air by topic, beside what the simulated air counts.
+"""Tests what a router reports about its slow links: the bytes on the air by topic, beside the count of the air.
 
 RECT_ROUTER=target/checked/rect-router RECT_TOOL=target/checked/rect pytest rect-py/tests/test_slow_link.py
 """
@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import threading
 from typing import Any
 
 import rect
 from conftest import DEADLINE, repeating, until, until_subscribed
-from programs import Routers
+from programs import Routers, program
 
 #: The topics that share the link: the sizes of their values, and their messages for each message of the slowest one.
 TOPICS = {"camera": (900, 1), "pose": (18, 4), "battery": (60, 2)}
@@ -89,3 +91,38 @@ def test_the_list_shows_what_topics_take_on_the_air(routers: Routers) -> None:
                 assert re.match("wombat-1 sends over ble/wombat-2: .*pose ", tool.until("sends over"))
             with routers.tool("wombat-1", "topic", "info", "wombat-1/pose") as tool:
                 assert re.match(r"on air: +\d+ B/s over ble/wombat-2", tool.until("on air:"))
+
+
+def test_doctor_names_the_topic_that_fills_a_link(routers: Routers) -> None:
+    ended = threading.Event()
+    with (
+        routers.robots["wombat-1"].session() as session,
+        routers.connect("wombat-1", program="sender") as robot,
+        routers.connect("wombat-2", program="receiver") as other,
+        other.subscribe("wombat-1/*"),
+    ):
+        until_subscribed(robot, "camera")
+
+        def fill() -> None:
+            while not ended.is_set():
+                robot.publish("camera", bytes(3000))
+
+        def is_filled() -> bool:
+            (link,) = asked(session)["links"]
+            # The share is known once the link has measured its rate.
+            shares = {topic: shares for topic, _, *shares in link["sent"]}
+            return sum(shares.get("wombat-1/camera", [])) > 0.9
+
+        filling = threading.Thread(target=fill)
+        filling.start()
+        try:
+            until(is_filled)
+            command = [program("RECT_TOOL", "rect"), "doctor", "--router", routers.endpoints["wombat-1"], "--json"]
+            done = subprocess.run(command, capture_output=True, text=True, timeout=2 * DEADLINE, check=False)
+        finally:
+            ended.set()
+            filling.join()
+    findings = [finding["what"] for finding in json.loads(done.stdout) if finding["about"] == "link"]
+    (what,) = [what for what in findings if "takes" in what]
+    expected = r"wombat-1/camera takes \d+ % of what ble/wombat-2 carries from wombat-1, .* camera \d+ %, .*free \d+ %"
+    assert re.fullmatch(expected, what), what

@@ -28,7 +28,7 @@ pub const MAX_KEYS: usize = 256;
 const BUCKETS: usize = 10;
 const BUCKET: Duration = Duration::from_millis(500);
 
-/// What bytes were sent for.
+/// The purpose of bytes that were sent.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Purpose {
     /// Messages with this key: values, requests and replies.
@@ -62,7 +62,7 @@ impl std::ops::AddAssign for Size {
 pub struct UsageReport {
     /// The time over which bytes have been counted, at most a little more than [`WINDOW`]; zero in the answer that starts the count.
     pub window: Duration,
-    /// What was sent within this time, in the order of the purposes.
+    /// The size of everything that was sent within this time for each purpose, in the order of the purposes.
     pub sent: Vec<(Purpose, Size)>,
 }
 
@@ -159,9 +159,9 @@ impl Count {
         }
         let first = (self.bucket + 1).max(bucket.saturating_sub(BUCKETS as u64));
         for number in first..=bucket {
-            let slot = slot(number);
+            let place = place_of(number);
             let all = self.keys.values_mut().chain(&mut self.others);
-            all.for_each(|buckets| buckets[slot] = Size::default());
+            all.for_each(|buckets| buckets[place] = Size::default());
         }
         self.bucket = bucket;
         let is_used = |buckets: &Buckets| buckets.iter().any(|size| size.bytes > 0);
@@ -169,7 +169,7 @@ impl Count {
     }
 
     fn on_batch(&mut self, keys: &KeyTable, lane: Lane, batch: &[u8], size: Size) {
-        // What the link compresses is not parsed: these are Zenoh's own messages.
+        // These are Zenoh's own messages, which the link may have compressed.
         if lane == Lane::first() {
             return self.add(&Purpose::Zenoh, size);
         }
@@ -223,7 +223,7 @@ impl Count {
         if !keys.append(Side::Own, expr, &mut self.key) {
             self.key.clear();
         }
-        let bucket = slot(self.bucket);
+        let bucket = place_of(self.bucket);
         if let Some(buckets) = self.keys.get_mut(&self.key) {
             buckets[bucket] += size;
         } else if self.key.is_empty() || self.keys.len() >= MAX_KEYS {
@@ -237,7 +237,7 @@ impl Count {
 
     /// Counts bytes for the message that was sent last on a lane.
     fn add_to_last(&mut self, lane: Lane, size: Size) {
-        let bucket = slot(self.bucket);
+        let bucket = place_of(self.bucket);
         match self.keys.get_mut(&self.last[lane.index()]) {
             Some(buckets) => buckets[bucket] += size,
             None if lane == Lane::first() => self.add(&Purpose::Zenoh, size),
@@ -252,7 +252,7 @@ impl Count {
             Purpose::Link => link,
             Purpose::Key(_) | Purpose::Other => other,
         };
-        buckets[slot(self.bucket)] += size;
+        buckets[place_of(self.bucket)] += size;
     }
 
     fn report(&self, now: Instant) -> UsageReport {
@@ -280,6 +280,6 @@ impl Count {
 }
 
 /// Returns the place of a bucket.
-fn slot(bucket: u64) -> usize {
+fn place_of(bucket: u64) -> usize {
     (bucket % (BUCKETS as u64 + 1)) as usize
 }

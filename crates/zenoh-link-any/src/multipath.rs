@@ -382,20 +382,21 @@ impl Multipath {
         path.on_sent(Some((lane, range.clone())), frame.len(), is_keep_alive, now);
         let overhead = overhead(path.medium, self.options.is_encrypted);
         if let Some(usage) = self.usage.get_mut(&path.medium) {
-            // The first batch of a frame, or the one before, counts with what is added to the frame.
-            let (mut cost, mut added) = (DATA_HEAD_BYTES, DATA_HEAD_BYTES + overhead);
-            for (batch, bytes) in out.starting_in(&range) {
-                let size = Size {
-                    bytes: (bytes + std::mem::take(&mut added)) as u64,
-                    cost: (bytes + std::mem::take(&mut cost)) as u64,
-                };
-                usage.on_batch(&self.keys, lane, batch, size, now);
-            }
-            let size = Size {
-                bytes: added as u64,
-                cost: cost as u64,
+            let begun: u64 = out.starting_in(&range).map(|(_, bytes)| bytes).sum();
+            // The frame begins with the rest of the batch before, if there is one. What is added to the frame counts with that.
+            let rest = range.end - range.start - begun;
+            let mut size = Size {
+                bytes: rest + (DATA_HEAD_BYTES + overhead) as u64,
+                cost: rest + DATA_HEAD_BYTES as u64,
             };
-            usage.on_more(lane, size, now);
+            if rest > 0 {
+                usage.on_more(lane, std::mem::take(&mut size), now);
+            }
+            for (batch, bytes) in out.starting_in(&range) {
+                size.bytes += bytes;
+                size.cost += bytes;
+                usage.on_batch(&self.keys, lane, batch, std::mem::take(&mut size), now);
+            }
         }
         if is_new {
             let copied = out.copied_in(&range);

@@ -251,19 +251,18 @@ impl OutLane {
         }
     }
 
-    /// Returns the batches that begin within these bytes: each with its number of bytes in the stream, which includes its length.
+    /// Returns the batches that begin within these bytes: each with the number of its bytes among them, including its length.
     pub(crate) fn starting_in<'a>(
         &'a self,
         range: &'a Range<u64>,
-    ) -> impl Iterator<Item = (&'a [u8], usize)> {
-        let first = self
-            .batches
-            .partition_point(|batch| batch.start < range.start);
-        let batches = self.batches.range(first..);
+    ) -> impl Iterator<Item = (&'a [u8], u64)> {
+        let is_before = |batch: &Batch| batch.start < range.start;
+        let batches = (self.batches).range(self.batches.partition_point(is_before)..);
         let within = batches.take_while(|batch| batch.start < range.end);
         within.map(|batch| {
             let content = batch_length::decode(&batch.bytes).map_or(0, |(_, size)| size);
-            (&batch.bytes[content..], batch.bytes.len())
+            let bytes = batch.end().min(range.end) - batch.start;
+            (&batch.bytes[content..], bytes)
         })
     }
 

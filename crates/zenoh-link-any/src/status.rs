@@ -37,14 +37,14 @@ pub struct LinkStatus {
     pub last_switch: Option<Switch>,
 }
 
-/// What a link has sent over one medium for each key.
+/// The bytes that a link has sent over one medium, by key.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkUsage {
     /// The peer.
     pub peer: String,
     /// The medium.
     pub medium: Medium,
-    /// What was counted.
+    /// The bytes that were counted.
     pub report: UsageReport,
     /// Rate of the medium while there is enough to send, per second in the unit of the costs in the report, if it was measured.
     pub rate_per_s: Option<f64>,

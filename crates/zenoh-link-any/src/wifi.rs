@@ -4,6 +4,7 @@ use std::{
     ffi::OsString,
     io,
     net::SocketAddr,
+    os::unix::fs::PermissionsExt,
     path::{Path, PathBuf},
     sync::Arc,
     time::Duration,
@@ -137,8 +138,11 @@ impl Wifi {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
             _ => {}
         }
+        let listener = UnixListener::bind(path)?;
+        // Whatever the umask of the program is.
+        std::fs::set_permissions(path, std::fs::Permissions::from_mode(0o600))?;
         Ok(Self {
-            listener: UnixListener::bind(path)?,
+            listener,
             path: path.to_owned(),
             shared: Arc::new(Shared {
                 options,

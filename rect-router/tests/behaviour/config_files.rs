@@ -54,6 +54,45 @@ fn all_files_load() {
 }
 
 #[test]
+fn commented_examples_for_a_slow_link_are_valid() {
+    for name in ["robot.json5", "base-station.json5"] {
+        let text = fs::read_to_string(file(name)).expect("readable");
+        // An example is a comment that is a line of JSON5: it begins or ends with a bracket, or is indented.
+        let is_example = |line: &str| {
+            let first = line.starts_with(['{', '}', ']']) || line.ends_with(['[', '{']);
+            first || line.starts_with("  ")
+        };
+        let mut examples = 0;
+        let lines = text.lines().map(|line| {
+            let comment = line.trim_start().strip_prefix("// ");
+            match comment.filter(|_| !line.starts_with("//")) {
+                Some(example) if is_example(example) => {
+                    examples += 1;
+                    example
+                }
+                _ => line,
+            }
+        });
+        let text = lines.collect::<Vec<_>>().join("\n");
+        assert!(examples >= 10, "{name}: {examples} lines");
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join(name);
+        fs::write(&path, &text).expect("written");
+        let config = zenoh::Config::from_file(&path);
+        let config = config.unwrap_or_else(|error| panic!("{name}: {error}\n{text}"));
+        let config = serde_json::to_value(&config).expect("JSON");
+        for (pointer, count) in [
+            ("/qos/network", 2),
+            ("/downsampling", 1),
+            ("/low_pass_filter", 1),
+        ] {
+            let items = config.pointer(pointer).and_then(Value::as_array);
+            assert_eq!(items.map(Vec::len), Some(count), "{name}: {pointer}");
+        }
+    }
+}
+
+#[test]
 fn multicast_scouting_is_off_in_all_files() {
     for name in [
         "robot.json5",

@@ -52,12 +52,12 @@ pub struct LinkStatus {
     pub lanes: Option<LanesStatus>,
 }
 
-/// What a link has sent for each key.
+/// The bytes that a link has sent, by key.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkUsage {
     /// Name of the peer, or its address if it has no name.
     pub peer: String,
-    /// What was counted.
+    /// The bytes that were counted.
     pub report: UsageReport,
     /// Rate of the path while there is enough to send, per second in the unit of the costs in the report, once it was measured.
     pub rate_per_s: Option<f64>,

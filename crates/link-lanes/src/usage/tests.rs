@@ -14,7 +14,7 @@ use zenoh_protocol::{
 use super::*;
 
 const KEEP: Duration = Duration::from_secs(5);
-/// What a link adds to a batch in these tests.
+/// The number of bytes that a link adds to a batch in these tests.
 const OVERHEAD: u64 = 9;
 
 fn data_lane() -> Lane {

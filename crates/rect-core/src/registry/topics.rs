@@ -48,7 +48,7 @@ pub struct Topics {
     pub topics: Vec<TopicReport>,
     /// The number of topics that are not in the list.
     pub more: usize,
-    /// What the robot's slow links have sent, also for other robots.
+    /// The bytes that the robot's `ble` and `any` links have sent, also for other robots.
     pub links: Vec<LinkUsage>,
 }
 

@@ -15,6 +15,8 @@ pub const LINK: &str = "link";
 /// Everything else.
 pub const OTHER: &str = "other";
 
+/// The part after `@rect/` of the keys of messages for robots that have asked for fewer (`message::throttled`).
+const THROTTLED: &str = "throttled";
 /// The largest number of rows of a link; the others are added up in [`OTHER`].
 const MAX_ROWS: usize = 32;
 /// The share of a link from which on it is busy, and the share of a topic from which on that topic fills the link.
@@ -23,7 +25,7 @@ const FILLS: f64 = 0.5;
 /// The smallest share that the line about a link mentions.
 const MENTIONED: f64 = 0.01;
 
-/// What a link has sent within the last seconds.
+/// The bytes that a link has sent within the last seconds, by topic.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LinkUsage {
     /// The method and the peer of the link, such as `ble/laptop`.
@@ -31,11 +33,11 @@ pub struct LinkUsage {
     /// The method of the path, if the link has several.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub path: Option<String>,
-    /// What was sent, most bytes first.
+    /// The topics for which it has sent something, most bytes first.
     pub sent: Vec<Sent>,
 }
 
-/// What a link has sent for one topic. In JSON it is an array of the fields in this order, without a share that is not known.
+/// The bytes that a link has sent for one topic. In JSON it is an array of the fields in this order, without a share that is not known.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(from = "Row", into = "Row")]
 pub struct Sent {
@@ -213,9 +215,11 @@ pub fn topic_of(fleet: &str, key: &str) -> String {
     let Some(below) = below.filter(|below| below.contains('/')) else {
         return format!("/{key}");
     };
-    let mut parts = below.splitn(4, '/');
-    match (parts.next(), parts.next(), parts.next()) {
-        (Some(robot), Some(OWN), Some(part)) => format!("{robot}/{OWN}/{part}"),
+    let parts: Vec<_> = below.splitn(5, '/').collect();
+    match parts[..] {
+        // The messages for a robot that has asked for fewer of a topic.
+        [robot, OWN, THROTTLED, _, topic] => format!("{robot}/{topic}"),
+        [robot, OWN, part, ..] => format!("{robot}/{OWN}/{part}"),
         _ => below.to_owned(),
     }
 }
@@ -232,6 +236,10 @@ fn thousandths(number: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::{
+        message::throttled,
+        name::{key::KeySpace, Name},
+    };
 
     fn usage(rate_per_s: Option<f64>, counted: &[(&str, u64)]) -> LinkUsage {
         let counted = counted.iter().map(|(topic, bytes)| {
@@ -333,5 +341,12 @@ mod tests {
         ] {
             assert_eq!(topic_of("rect", key), topic);
         }
+        let name = |text| Name::new(text).expect("valid name");
+        let place = KeySpace {
+            fleet: name("rect"),
+            robot: name("wombat-1"),
+        };
+        let key = throttled::publication(&place, &name("laptop"), "arm/angle");
+        assert_eq!(topic_of("rect", &key), "wombat-1/arm/angle");
     }
 }

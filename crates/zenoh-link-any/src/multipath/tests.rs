@@ -444,6 +444,6 @@ fn what_each_medium_carries_is_counted_with_second_copies() {
         let sizes = counted[&path.medium].sent.iter();
         let frames: u64 = sizes.map(|(_, size)| size.cost).sum();
         let share = frames as f64 / path.sent_bytes as f64;
-        assert!((0.98..1.02).contains(&share), "{frames} of {path:?}");
+        assert!((0.99..1.01).contains(&share), "{frames} of {path:?}");
     }
 }
