@@ -21,11 +21,17 @@ export function topics(link, parent, notify) {
     scroll: () => show(),
   });
   const empty = h("p", { class: "empty" });
+  const shares = h("div", { class: "about" });
   const chosen = h("div", { class: "chosen" });
   list.append(space);
   parent.append(
     h("h1", {}, "Topics"),
-    h("div", { class: "columns" }, h("div", {}, h("div", { class: "row" }, filter, count), empty, list), chosen),
+    h(
+      "div",
+      { class: "columns" },
+      h("div", {}, h("div", { class: "row" }, filter, count), shares, empty, list),
+      chosen,
+    ),
   );
   if (!link.states.hello.read_only) {
     parent.append(sendForm(link, notify).element);
@@ -43,6 +49,8 @@ export function topics(link, parent, notify) {
     rows = all.filter((row) => matches(`${row.robot}/${row.topic}`));
     const more = link.states.topics?.more;
     setText(count, `${rows.length} of ${all.length}${more ? `, and ${more} more that the routers do not list` : ""}`);
+    const links = link.states.topics?.links ?? [];
+    shares.replaceChildren(...links.map((text) => h("p", {}, visible(text))));
     setText(empty, known.length > 0 ? "" : emptyText(link.states.topics));
     empty.hidden = empty.textContent === "";
     list.hidden = rows.length === 0;
@@ -63,7 +71,8 @@ export function topics(link, parent, notify) {
 
   function line(row, index) {
     const name = `${row.robot}/${row.topic}`;
-    const { hz, bytes_per_s: rate, last_bytes: size, encoding } = row;
+    const { hz, bytes_per_s: rate, on_air_per_s: onAir, last_bytes: size, encoding } = row;
+    const air = onAir > 0 ? ` (${bytes(onAir)}/s on the air)` : "";
     const lost = row.lost > 0 ? ` · ${row.lost} lost` : "";
     const retained = row.is_retained ? " · retained" : "";
     const button = h(
@@ -73,7 +82,7 @@ export function topics(link, parent, notify) {
       h(
         "span",
         { class: "figures" },
-        `${hertz(hz)} · ${bytes(rate)}/s · ${bytes(size)} · ${visible(encoding, 40)}${lost}${retained}`,
+        `${hertz(hz)} · ${bytes(rate)}/s${air} · ${bytes(size)} · ${visible(encoding, 40)}${lost}${retained}`,
       ),
     );
     const item = h("li", {}, button);

@@ -6,7 +6,7 @@ use std::{
 };
 
 use rect::{Connection, ConnectionState, Event, Events, Name, Program, Robot};
-use rect_core::registry::topics::Topics;
+use rect_core::registry::{topics::Topics, usage::on_air};
 use rect_recording::report::EventReport;
 use serde_json::Value;
 use tokio::{
@@ -307,6 +307,11 @@ impl Observer {
     }
 
     fn show_topics(&self, problem: Option<&str>) {
+        let links = || self.topics.values().flat_map(|topics| &topics.links);
+        let slow = self.topics.iter().flat_map(|(robot, topics)| {
+            let slow = topics.links.iter().filter(|link| link.is_slow());
+            slow.map(move |link| format!("{robot} sends over {}", link.in_words(robot)))
+        });
         let rows = self.topics.iter().flat_map(|(robot, topics)| {
             topics.topics.iter().map(move |report| TopicRow {
                 robot,
@@ -314,6 +319,7 @@ impl Observer {
                 encoding: &report.encoding,
                 hz: report.hz,
                 bytes_per_s: report.bytes_per_s,
+                on_air_per_s: on_air(links(), &format!("{robot}/{}", report.topic)),
                 last_bytes: report.last_bytes,
                 lost: report.lost,
                 is_retained: report.is_retained,
@@ -322,6 +328,7 @@ impl Observer {
         let state = State::Topics {
             topics: &rows.collect::<Vec<_>>(),
             more: self.topics.values().map(|topics| topics.more).sum(),
+            links: &slow.collect::<Vec<_>>(),
             problem,
         };
         self.app.browsers.publish("topics", &state);

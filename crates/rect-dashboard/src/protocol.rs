@@ -211,6 +211,8 @@ pub enum State<'a> {
         topics: &'a [TopicRow<'a>],
         /// The number of topics that are not listed.
         more: usize,
+        /// A description of the use of each slow link.
+        links: &'a [String],
         /// Why there are none.
         problem: Option<&'a str>,
     },
@@ -380,6 +382,8 @@ pub struct TopicRow<'a> {
     pub hz: f64,
     /// Payload bytes per second.
     pub bytes_per_s: u64,
+    /// Bytes per second that the slow links of all robots have sent for the topic, with everything that is added.
+    pub on_air_per_s: u64,
     /// The size of the last payload in bytes.
     pub last_bytes: u64,
     /// Messages that did not reach the robot's own router.
