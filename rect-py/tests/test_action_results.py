@@ -9,12 +9,14 @@ import asyncio
 import json
 import random
 import re
+from contextlib import ExitStack
+from pathlib import Path
 
 import pytest
 import rect
 import rect.aio
 from conftest import DEADLINE, Pair, until
-from programs import Routers
+from programs import Routers, initialised_routers
 from test_actions import Robots, end_of, line, process, start
 from test_actions import robots as robots
 
@@ -109,6 +111,13 @@ def test_states_with_other_sizes_are_refused(pair: Pair) -> None:
         until(lambda id=id: id in [goal.id for goal in client.goals("wombat-2")])  # type: ignore[misc]
         with pytest.raises(rect.ActionError, match=expected):
             client.find("wombat-2", "map", id).result(DEADLINE)
+
+
+def test_access_control_permits_large_results(tmp_path: Path) -> None:
+    with initialised_routers(tmp_path) as options, ExitStack() as stack:
+        one, two = (stack.enter_context(rect.connect(name, **options[name])) for name in options)
+        two.action("map", lambda goal: bytes(100_000))
+        assert start(one, "map").result(DEADLINE) == bytes(100_000)
 
 
 def test_closed_client_ends_the_wait(robots: Robots) -> None:

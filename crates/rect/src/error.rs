@@ -152,7 +152,8 @@ pub enum Error {
         /// The id of the goal.
         goal: String,
     },
-    /// A goal was not carried out, or not to its end.
+    /// A goal was not carried out, or not to its end. If its phase is [`Phase::Done`], it was, and its result of more than 48 kB cannot be
+    /// received: the program that has it has ended, for example.
     #[error("{}", goal_ended(*.phase, .reason))]
     Goal {
         /// How it ended.

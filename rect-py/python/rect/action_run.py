@@ -64,7 +64,7 @@ class KnownGoal:
     program: str
     #: The goal itself. `None` if it is not known, since it is longer than 2 kB.
     goal: Any
-    #: The result; `None` if there is none.
+    #: The result; `None` if there is none, or it has more than 48 kB: `Robot.find(...).result()` returns it.
     result: Any
     #: When it was started, by the clock of the robot, in UTC. The clock of a robot without a real-time clock may be
     #: years off.
@@ -260,7 +260,7 @@ class Following:
         self._types = types
         self._feeds: list[Feed] = []
         self._lock = threading.Lock()
-        #: The result, if it is large and the program waits for it.
+        #: The result, if it has more than 48 kB and the program waits for it.
         self._pull: ResultPull | None = None
         self._is_closed = False
         #: Wakes the thread that asks.

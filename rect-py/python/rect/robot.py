@@ -831,10 +831,10 @@ class Robot:
         """Declares an action: a task that takes a while, with progress, cancel and one end.
 
         `handler` is called with each `Goal`, on a thread of its own, for one goal at a time. It returns the
-        result. If it raises an exception, the goal has failed, with the text of the exception as the reason; the
-        exception is logged unless it is a `Refusal` or a `RectError`. The handler should end soon after
-        `goal.cancelled` has become true; `goal.sleep` raises `Cancelled` then. Without `handler`, this method is a
-        decorator:
+        result, of at most 16 MB; this program keeps one of more than 48 kB for its clients, while it runs. If the
+        handler raises an exception, the goal has failed, with the text of the exception as the reason; the exception is
+        logged unless it is a `Refusal` or a `RectError`. The handler should end soon after `goal.cancelled` has become
+        true; `goal.sleep` raises `Cancelled` then. Without `handler`, this method is a decorator:
 
         >>> with connect("wombat-1", listen=["tcp/127.0.0.1:0"]) as robot:
         ...     @robot.action("dig")

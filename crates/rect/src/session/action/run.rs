@@ -370,7 +370,8 @@ impl ActionRun {
         run.feedback().map(|feedback| to_payload(&feedback.value))
     }
 
-    /// Returns how much of a result of more than 48 kB has arrived, while [`end`](Self::end) or [`result`](Self::result) waits for it.
+    /// Returns how much of a result of more than 48 kB has arrived, since [`end`](Self::end) or [`result`](Self::result) has asked for it and
+    /// until it is there.
     pub fn result_progress(&self) -> Option<Progress> {
         self.followed.pulled.progress()
     }
@@ -417,11 +418,12 @@ impl ActionRun {
     }
 
     /// Waits for the end of the goal, and returns its result as a value. A goal does not end because its robot cannot be reached: set a limit with
-    /// [`tokio::time::timeout`] if you do not want to wait for it.
+    /// [`tokio::time::timeout`] if you do not want to wait for it. A result of more than 48 kB is received from the program that has carried
+    /// out the goal, which has to run until then.
     ///
     /// # Errors
-    /// [`Error::Goal`] if the goal was not reached, [`Error::Payload`] if the result does not fit `T`, and [`Error::Closed`] if the
-    /// session is closed.
+    /// [`Error::Goal`] if the goal was not reached, or its result is gone, [`Error::Payload`] if the result does not fit `T`, and
+    /// [`Error::Closed`] if the session is closed.
     ///
     /// # Cancel safety
     /// If the future is dropped, nothing is lost: the next call returns the result.
@@ -457,8 +459,8 @@ impl ActionRun {
     /// Does the same as [`end`](Self::end), and waits at most for `timeout`.
     ///
     /// # Errors
-    /// [`Error::TimedOut`] if the goal has not ended in time: the error states its phase, and for how long it has been in it. The other
-    /// errors are those of [`result`](Self::result).
+    /// [`Error::TimedOut`] if the goal has not ended in time: the error states its phase, and for how long it has been in it, or how much of
+    /// the result has arrived. The other errors are those of [`result`](Self::result).
     ///
     /// # Cancel safety
     /// If the future is dropped, nothing is lost.

@@ -90,7 +90,7 @@ impl Robot {
     /// action, or [`ActionOptions`].
     ///
     /// Each goal has one end, which its client learns also after a cut. The robot's router keeps it for 10 minutes, and at most 16 for each
-    /// action. A handler that is cancelled should end soon ([`Goal::is_cancelled`]): a newer goal waits for that. A goal is also
+    /// action. A result has at most 16 MB; this program keeps one of more than 48 kB for its clients, while it runs. A handler that is cancelled should end soon ([`Goal::is_cancelled`]): a newer goal waits for that. A goal is also
     /// cancelled when its client has been away for 5 s, and by the [stop of the fleet](Self::fleet_stop), in which this program takes part.
     ///
     /// ```no_run
