@@ -233,7 +233,7 @@ def test_error_names_requested_robot_even_if_reply_names_another(pair: Pair) -> 
 def test_reply_that_cannot_be_sent_is_logged_by_the_service(pair: Pair, caplog: pytest.LogCaptureFixture) -> None:
     one, two = pair
     one.serve("camera", lambda _: object())
-    one.serve("battery", lambda _: {"cells": {1, 2}})
+    one.serve("battery", lambda _: {"cells": [object()]})
     for topic in ("camera", "battery"):
         until_served(two, "wombat-1", topic)
         with caplog.at_level(logging.WARNING, "rect"), pytest.raises(rect.ServiceError) as error:

@@ -400,7 +400,7 @@ def test_connect_rejects_invalid_name(name: str) -> None:
 
 def test_no_router_error_contains_command_that_starts_one() -> None:
     with pytest.raises(
-        rect.NoRouter, match=r"Start one on this computer with `python -m rect router -l tcp/127.0.0.1:7447`"
+        rect.NoRouter, match=r"Start one on this computer with `python -m rect router -l tcp/127.0.0.1:9`"
     ):
         rect.connect("wombat-1", router="tcp/127.0.0.1:9", timeout=0.2)
 
