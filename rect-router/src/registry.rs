@@ -6,11 +6,12 @@ pub mod document;
 mod presence;
 mod publisher;
 mod radio;
+mod silence;
 mod sockets;
 mod uptime;
 
 use std::{
-    collections::HashMap,
+    collections::{HashMap, HashSet},
     net::SocketAddr,
     sync::{mpsc, Arc, Weak},
     thread,
@@ -41,6 +42,7 @@ use self::{
     presence::Presence,
     publisher::{publish, Change},
     radio::Radio,
+    silence::Silence,
     sockets::Sockets,
     uptime::Uptime,
 };
@@ -76,6 +78,7 @@ struct Sources {
     connections: Option<Arc<Connections>>,
     presence: Arc<Presence>,
     uptime: Arc<Uptime>,
+    silence: Silence,
     /// Hash of the fleet's name, as advertised.
     fleet_hash: u16,
 }
@@ -129,6 +132,7 @@ impl Registry {
             connections,
             presence: Arc::clone(&presence),
             uptime,
+            silence: Silence::default(),
             fleet_hash: Advertisement::hash_of_fleet(&settings.fleet),
         });
         sources.answer(own, "connections", |connections, _| connections)?;
@@ -248,6 +252,7 @@ impl Sources {
             .collect();
         let radio = Radio::now();
         let carried = |link: &Link| radio.carried(link).or_else(|| sockets.carried(link));
+        self.silence.retain(&by_ends.keys().cloned().collect::<HashSet<_>>());
         let mut connections = Vec::new();
         let named = self.connections.as_ref();
         for snapshot in named.map_or_else(Vec::new, |named| named.snapshots()) {
@@ -339,6 +344,7 @@ impl Sources {
             method: snapshot.spec.method,
             rssi_dbm,
             encrypted: link.and_then(|link| is_encrypted(link, radio)),
+            silent_s: link.and_then(|link| self.silent_s(link, radio)),
             address,
             state: link.map_or(State::Connecting, |_| State::Connected),
             peer: link.map(|link| self.peer(link)),
@@ -367,6 +373,7 @@ impl Sources {
         Connection {
             rssi_dbm: ble.and_then(|ble| radio.rssi_dbm(&ble.address)),
             encrypted: is_encrypted(link, radio),
+            silent_s: self.silent_s(link, radio),
             peer: Some(self.peer(link)),
             up_s: self.up_s(link),
             sent: carried.map(|carried| carried.sent),
@@ -378,6 +385,15 @@ impl Sources {
             lanes: radio.lanes(link),
             ..Connection::of(method.as_str(), address.as_str(), State::Connected)
         }
+    }
+
+    /// Returns the time in seconds for which a link over Bluetooth, or over several paths, has been silent; `None` if it is not. Other
+    /// links are closed by the system.
+    fn silent_s(&self, link: &Link, radio: &Radio) -> Option<f64> {
+        let received = radio.carried(link)?.received.bytes;
+        let ends = LinkEnds::of(link.src(), link.dst());
+        let silent = self.silence.of(ends, received, Instant::now())?;
+        Some(silent.as_secs_f64())
     }
 
     /// Returns the time in seconds for which a link has been open.

@@ -3,8 +3,8 @@ use std::{collections::BTreeMap, process::ExitCode};
 
 use clap::Args;
 use rect::{Connection, ConnectionState, Event, Name, Robot};
-use rect_core::text::humanize::{duration, milliseconds};
-use rect_terminal::{self as terminal, connections_of_robot, Table};
+use rect_core::text::humanize::{duration, duration_of_s, milliseconds};
+use rect_terminal::{self as terminal, connections_of_robot, Cell, Style, Table};
 use serde_json::json;
 
 use crate::{
@@ -82,7 +82,7 @@ pub async fn peers(arguments: PeersArguments) -> Done {
         rect_terminal::outln!("no other robot of the fleet {} is reachable", robot.fleet());
         return Ok(ExitCode::SUCCESS);
     }
-    let mut table = Table::new(&["ROBOT", "LINKED BY", "ROUND TRIP", "SIGNAL"]);
+    let mut table = Table::new(&["ROBOT", "LINKED BY", "ROUND TRIP", "SIGNAL", "?SILENT FOR"]);
     for peer in &peers {
         let links = linked.get(peer.as_str()).cloned().unwrap_or_default();
         let each = |of: fn(&Connection) -> Option<String>| {
@@ -100,11 +100,19 @@ pub async fn peers(arguments: PeersArguments) -> Done {
         };
         let round_trip = each(|link| link.round_trip_ms.map(milliseconds));
         let signal = each(|link| link.rssi_dbm.map(|dbm| format!("{dbm} dBm")));
+        // A robot of which nothing arrives is listed until its session ends, which takes longer over Bluetooth.
+        let is_silent = !links.is_empty() && links.iter().all(|link| link.silent_s.is_some());
+        let silent = links.iter().filter_map(|link| link.silent_s);
+        let silent = silent.reduce(f64::min).filter(|_| is_silent);
+        let silent = silent.map_or_else(|| "".into(), |silent| {
+            Cell::styled(Style::Wrong, duration_of_s(silent))
+        });
         table.row(vec![
             peer.as_str().into(),
             methods.into(),
             round_trip.into(),
             signal.into(),
+            silent,
         ]);
     }
     table.print();

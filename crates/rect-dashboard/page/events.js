@@ -10,6 +10,8 @@ const TEXTS = {
   program_down: "program ended",
   link_up: "link established",
   link_down: "link ended",
+  link_silent: "link silent",
+  link_resumed: "link resumed",
   path_switched: "path switched",
   router_up: "router connected",
   router_down: "router lost",

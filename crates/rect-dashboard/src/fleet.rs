@@ -152,7 +152,11 @@ impl Observer {
                     record.silent_since_ms = Some(now_ms());
                 }
             }
-            Event::LinkUp(_) | Event::LinkDown(_) | Event::PathSwitched { .. } => {
+            Event::LinkUp(_)
+            | Event::LinkDown(_)
+            | Event::LinkSilent(_)
+            | Event::LinkResumed(_)
+            | Event::PathSwitched { .. } => {
                 for record in self.records.values_mut() {
                     record.asked = None;
                 }

@@ -27,7 +27,7 @@ pub const LINKS_EVERY: Duration = Duration::from_secs(1);
 /// The form of an event in a recording.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct EventReport<'a> {
-    /// `peer_up`, `peer_down`, `program_up`, `program_down`, `link_up`, `link_down`, `path_switched`, `router_up` or `router_down`.
+    /// `peer_up`, `peer_down`, `program_up`, `program_down`, `link_up`, `link_down`, `link_silent`, `link_resumed`, `path_switched`, `router_up` or `router_down`.
     pub kind: &'a str,
     /// The other robot.
     pub robot: Option<&'a str>,
@@ -113,6 +113,8 @@ impl<'a> From<&'a Event> for EventReport<'a> {
             },
             Event::LinkUp(link) => Self::of_link("link_up", link),
             Event::LinkDown(link) => Self::of_link("link_down", link),
+            Event::LinkSilent(link) => Self::of_link("link_silent", link),
+            Event::LinkResumed(link) => Self::of_link("link_resumed", link),
             Event::PathSwitched { link, path, reason } => Self {
                 path: Some(path),
                 reason: Some(reason.as_str()),

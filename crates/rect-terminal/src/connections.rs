@@ -136,8 +136,15 @@ fn path(path: &LinkPath) -> String {
     format!("{} ({})", path.method, details.join(", "))
 }
 
+/// Describes for how long nothing has been received over a link.
+fn silence(connection: &Connection) -> Cell {
+    let silent = connection.silent_s.map(duration_of_s).unwrap_or_default();
+    Cell::styled(Style::Wrong, format!("silent for {silent}"))
+}
+
 fn row(connection: &Connection) -> [Cell; 11] {
     let state = match connection.state {
+        State::Connected if connection.silent_s.is_some() => silence(connection),
         State::Connected => Cell::styled(Style::Good, "connected"),
         State::Connecting => Cell::styled(Style::Poor, "connecting"),
         State::Discovered => Cell::styled(Style::Faint, "discovered"),
@@ -171,6 +178,19 @@ fn row(connection: &Connection) -> [Cell; 11] {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_silent_link_is_not_shown_as_connected() {
+        let mut connection = Connection::of("any", "wombat-2", State::Connected);
+        connection.silent_s = Some(4.2);
+        let mut table = Table::new(&COLUMNS);
+        add(&mut table, row(&connection).into(), &connection);
+        let shown = table.lines(None, false).join("\n");
+        assert!(
+            shown.contains("silent for 4.2 s") && !shown.contains("connected"),
+            "{shown}"
+        );
+    }
 
     #[test]
     fn a_path_that_carries_the_load_again_is_not_a_switch_to_itself() {

@@ -115,7 +115,7 @@ impl Table {
     }
 
     /// Returns the lines of the table, no wider than `width` unless it is too narrow for the shortest possible cells.
-    fn lines(&self, width: Option<usize>, has_colours: bool) -> Vec<String> {
+    pub(crate) fn lines(&self, width: Option<usize>, has_colours: bool) -> Vec<String> {
         let (shown, widths) = self.layout(width);
         let mut lines = Vec::with_capacity(self.rows.len() + 1);
         let heading = shown

@@ -33,6 +33,8 @@ EventKind = Literal[
     "program_down",
     "link_up",
     "link_down",
+    "link_silent",
+    "link_resumed",
     "path_switched",
     "router_up",
     "router_down",
@@ -43,6 +45,7 @@ EventKind = Literal[
 - `program_up`, `program_down`: a named program of a robot is known, or has ended or is no longer reachable;
 - `link_up`, `link_down`: a link of this robot's router was opened or closed, or, without a router, a link of this
   program. A second `link_up` for the same link names the robot, if the robot was unknown at first;
+- `link_silent`, `link_resumed`: nothing has been received over a link for longer than usual, or something again;
 - `path_switched`: another path carries the bulk of a link whose method is `any`;
 - `router_up`, `router_down`: this program connected to its router, or lost the connection.
 """

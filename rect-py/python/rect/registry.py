@@ -82,6 +82,9 @@ class Connection:
     peer: Peer | None = None
     #: Time since the link was opened, in seconds. `None` if there is no link.
     up_s: float | None = None
+    #: Time for which nothing has been received over the link, in seconds, if that is longer than usual: an idle link
+    #: receives something every 2.5 s. `None` if the link is not silent, or its method is not `any` or `ble`.
+    silent_s: float | None = None
     #: Batches and bytes sent: `{"batches": ..., "bytes": ...}`. `None` if they are not counted; `batches` is `None` if
     #: only bytes are counted.
     sent: dict[str, int | None] | None = None

@@ -1,5 +1,5 @@
 //! Publishes all connections, under the key that answers for them, whenever a connection is added, removed or changes its
-//! state or peer. Changes of signal strength and traffic are not published; queries return them.
+//! state or peer, falls silent, or is heard again. Changes of signal strength and traffic are not published; queries return them.
 use std::{
     collections::BTreeSet,
     sync::mpsc::{Receiver, RecvTimeoutError},
@@ -114,16 +114,21 @@ fn report_name_conflicts(sources: &Sources) {
     }
 }
 
-/// The peers of the last publication: discovered robots by address, and the robots of links by the router's identifier.
+/// The peers of the last publication: discovered robots by address, and the robots of links by the router's identifier, with whether
+/// the link is silent.
 #[derive(Default)]
-struct PublishedPeers(BTreeSet<(String, Option<String>)>);
+struct PublishedPeers(BTreeSet<(String, Option<String>, bool)>);
 
 impl PublishedPeers {
     /// Replaces the peers by those of `connections`, and returns whether they differ.
     fn update(&mut self, connections: &[Connection]) -> bool {
         let peer = |connection: &Connection| match (connection.state, &connection.peer) {
-            (State::Discovered, _) => Some((connection.address.clone(), None)),
-            (_, Some(peer)) => Some((peer.id.clone(), Some(peer.robot.clone()?))),
+            (State::Discovered, _) => Some((connection.address.clone(), None, false)),
+            (_, Some(peer)) => {
+                let is_silent = connection.silent_s.is_some();
+                let is_known = peer.robot.is_some() || is_silent;
+                is_known.then(|| (peer.id.clone(), peer.robot.clone(), is_silent))
+            }
             (_, None) => None,
         };
         let now = connections.iter().filter_map(peer).collect();

@@ -214,6 +214,39 @@ impl<'a> Counted<'a> {
 }
 
 #[test]
+fn link_over_which_nothing_arrives_is_silent_before_it_ends() {
+    let world = World::new();
+    let secret = world.secret("team");
+    let _one = world.robot(1, "any", Some(&secret), &[]);
+    let two = world.robot(2, "any", Some(&secret), &["wombat-1"]);
+    let linked = connection(&two, |link| has_paths(link, &["ble", "tcp"]));
+    assert!(linked["silent_s"].is_null(), "{linked:#}");
+    let reports = (two.session).declare_subscriber("rect/wombat-2/@rect/connections");
+    let reports = reports.wait().expect("declared");
+    world.set_wifi(WifiState::Silent);
+    world.air.air().cut();
+    let has_begun = |link: &Value| link["silent_s"].is_number() || link["state"] != "connected";
+    let silent = connection(&two, has_begun);
+    assert_eq!(silent["state"], "connected", "{silent:#}");
+    assert!(silent["silent_s"].as_f64() >= Some(3.5), "{silent:#}");
+    // Programs need not ask.
+    let deadline = Instant::now() + DEADLINE;
+    let mut published = Vec::new();
+    let is_silent = |report: &Value| report[0]["silent_s"].is_number();
+    while !published.last().is_some_and(is_silent) {
+        assert!(Instant::now() < deadline, "{published:#?}");
+        let report = reports.recv_timeout(Duration::from_secs(1)).expect("open");
+        let report = report.map(|report| report.payload().to_bytes().into_owned());
+        published.extend(report.map(|report| serde_json::from_slice(&report).expect("JSON")));
+    }
+    world.set_wifi(WifiState::On);
+    world.air.air().restore();
+    connection(&two, |link| {
+        link["state"] == "connected" && link["silent_s"].is_null()
+    });
+}
+
+#[test]
 fn link_survives_the_loss_of_either_path() {
     let world = World::new();
     let secret = world.secret("team");

@@ -44,6 +44,10 @@ pub struct Connection {
     pub peer: Option<PeerId>,
     /// How long the link has been up, in seconds.
     pub up_s: Option<f64>,
+    /// How long nothing has been received over the link, in seconds, if that is longer than usual: an idle link receives something every
+    /// 2.5 s. Only for the methods `any` and `ble`.
+    #[serde(default)]
+    pub silent_s: Option<f64>,
     /// Sent traffic, if it is counted.
     pub sent: Option<Traffic>,
     /// Received traffic, if it is counted.
@@ -85,6 +89,7 @@ impl Connection {
             state,
             peer: None,
             up_s: None,
+            silent_s: None,
             sent: None,
             received: None,
             round_trip_ms: None,
@@ -292,6 +297,10 @@ pub enum Event {
     LinkUp(Link),
     /// A link of this robot has ended.
     LinkDown(Link),
+    /// Nothing has been received over a link of this robot for longer than usual. It may end, or [resume](Self::LinkResumed).
+    LinkSilent(Link),
+    /// Something has been received over a link that was silent.
+    LinkResumed(Link),
     /// Another path carries the bulk of a link whose method is `any`.
     PathSwitched {
         /// The link.
@@ -332,6 +341,8 @@ struct KnownLink {
     robot: Option<Name>,
     /// How often the path that carries the bulk was replaced.
     switches: u64,
+    /// Whether nothing is received over it.
+    is_silent: bool,
 }
 
 impl Links {
@@ -349,6 +360,16 @@ impl Links {
             let state = now.entry(ends.clone()).or_default();
             state.robot = state.robot.take().or(link.robot);
             state.switches = connection.switches.unwrap_or(0);
+            state.is_silent = connection.silent_s.is_some();
+            if old.is_some_and(|old| old.is_silent) != state.is_silent {
+                let robot = state.robot.as_ref();
+                let robot = robot.or_else(|| old.and_then(|old| old.robot.as_ref()));
+                let link = Link::between(&ends, robot);
+                changed.push(match state.is_silent {
+                    true => Event::LinkSilent(link),
+                    false => Event::LinkResumed(link),
+                });
+            }
             let Some(switch) = &connection.last_switch else {
                 continue;
             };
@@ -562,6 +583,32 @@ mod tests {
             matches!(&events[..], [Event::LinkDown(_), Event::LinkUp(_)]),
             "{events:?}"
         );
+    }
+
+    #[test]
+    fn a_link_that_falls_silent_and_resumes_is_reported_once() {
+        let link = connection("any", "b", ConnectionState::Connected);
+        let silent = |silent_s| Connection {
+            silent_s,
+            ..link.clone()
+        };
+        let mut links = Links::default();
+        let mut kinds = |silent_s| {
+            let events = links.on_connections(&[silent(silent_s)]);
+            let kinds = events.iter().map(|event| match event {
+                Event::LinkUp(_) => "up",
+                Event::LinkSilent(link) if link.robot.is_some() => "silent",
+                Event::LinkResumed(link) if link.robot.is_some() => "resumed",
+                _ => "another",
+            });
+            kinds.collect::<Vec<_>>()
+        };
+        assert_eq!(kinds(None), ["up"]);
+        assert_eq!(kinds(Some(3.6)), ["silent"]);
+        assert!(kinds(Some(4.6)).is_empty());
+        assert_eq!(kinds(None), ["resumed"]);
+        assert_eq!(kinds(Some(3.5)), ["silent"]);
+        assert!(matches!(&links.on_connections(&[])[..], [Event::LinkDown(_)]));
     }
 
     #[test]

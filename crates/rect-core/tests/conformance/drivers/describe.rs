@@ -243,6 +243,8 @@ impl Describe for Event {
             }
             Self::LinkUp(up) => link("link_up", up),
             Self::LinkDown(down) => link("link_down", down),
+            Self::LinkSilent(silent) => link("link_silent", silent),
+            Self::LinkResumed(resumed) => link("link_resumed", resumed),
             Self::PathSwitched { link, path, reason } => json!([
                 "path_switched",
                 link.robot.map(|robot| robot.to_string()),
