@@ -116,7 +116,7 @@ typedef enum rect_code {
     RECT_CODE_NO_ACTION = 33,
     // The robot does not know the goal: it never began, or ended more than ten minutes ago.
     RECT_CODE_NO_GOAL = 34,
-    // A goal was not carried out, or not to its end. The text states how it ended, and why.
+    // A goal was not carried out, or not to its end, or its result cannot be received. The text states how it ended, and why.
     RECT_CODE_GOAL = 35,
     // The goal was cancelled while the function that carries it out was sleeping. It should end soon.
     RECT_CODE_CANCELLED = 36,
@@ -167,6 +167,28 @@ typedef enum rect_log_item_kind {
     // New lines of a robot were missed, because its program logged faster than the link carries.
     RECT_LOG_ITEM_KIND_MISSED = 2,
 } rect_log_item_kind;
+
+// What the bytes of a payload are. Its encoding is compared like any media type, without case and without parameters.
+typedef enum rect_encoding_kind {
+    // Anything else, also text in another character set than UTF-8.
+    RECT_ENCODING_KIND_OTHER = 0,
+    // JSON: `application/json`, `text/json`, or a type that ends in `+json`.
+    RECT_ENCODING_KIND_JSON = 1,
+    // CBOR: `application/cbor`, or a type that ends in `+cbor`.
+    RECT_ENCODING_KIND_CBOR = 2,
+    // Text in UTF-8: `text/...`, or `zenoh/string`.
+    RECT_ENCODING_KIND_TEXT = 3,
+    // A picture: `image/png`.
+    RECT_ENCODING_KIND_PNG = 4,
+    // A picture: `image/jpeg`.
+    RECT_ENCODING_KIND_JPEG = 5,
+    // A picture: `image/webp`.
+    RECT_ENCODING_KIND_WEBP = 6,
+    // A frame of a video: `video/h264`.
+    RECT_ENCODING_KIND_H264 = 7,
+    // A raw picture or array, or any bytes: `application/octet-stream`.
+    RECT_ENCODING_KIND_RAW = 8,
+} rect_encoding_kind;
 
 // The urgency of messages. In every queue and on a Bluetooth link, messages overtake less urgent ones.
 typedef enum rect_urgency {
@@ -423,9 +445,9 @@ typedef struct rect_known_goal {
     uint64_t age_ms;
     // The goal itself; empty if it is long, or there is none.
     struct rect_payload goal;
-    // Whether it has a result.
+    // Whether `result` has one.
     bool has_result;
-    // The result; empty if there is none.
+    // The result; empty if there is none, or it has more than 48 kB: `rect_action_run_result` writes it.
     struct rect_payload result;
 } rect_known_goal;
 
@@ -651,6 +673,8 @@ typedef struct rect_message {
     int64_t sequence;
     // Number of messages of the same publisher, directly before this one, that did not arrive.
     uint32_t missed;
+    // Number of messages of the same publisher, directly before this one, that were left out because the subscription asks for fewer.
+    uint32_t skipped;
     // Time until the message expires, in milliseconds, when it was delivered. -1: it does not expire.
     int64_t expires_in_ms;
     // Of a retained message, how long ago it was published, in seconds, by the clock of its robot's router; it does not depend on the
@@ -693,6 +717,61 @@ typedef struct rect_deadman {
     // The handle.
     uint64_t id;
 } rect_deadman;
+
+// The name and the value of a parameter. `rect_parameter_number("kp", 2.0)` makes one of a number, and similar functions of the other
+// types.
+typedef struct rect_parameter_value {
+    // The name of the parameter.
+    struct rect_text name;
+    // The type of the value: a `rect_parameter_type`.
+    uint32_t kind;
+    // The value of a bool.
+    bool boolean;
+    // The value of an integer.
+    int64_t integer;
+    // The value of a number or an integer.
+    double number;
+    // The value of a text or a choice.
+    struct rect_text text;
+    // The first number of a list.
+    const double *numbers;
+    // Number of elements of the list.
+    size_t numbers_len;
+} rect_parameter_value;
+
+// A parameter that a program of a robot has declared.
+typedef struct rect_declared_parameter {
+    // The name of the group.
+    struct rect_text group;
+    // The name of the program; empty if the program has none.
+    struct rect_text program;
+    // The name of the parameter, and its default. The values in force are the retained topic `parameters/<group>` of the robot.
+    struct rect_parameter_value default_value;
+    // The smallest number; NAN: any.
+    double min;
+    // The largest number; NAN: any.
+    double max;
+    // The first choice; NULL if it is no choice.
+    const struct rect_text *choices;
+    // Number of choices.
+    size_t choices_len;
+    // The unit, such as `m/s`; empty if there is none.
+    struct rect_text unit;
+    // Its purpose, in the words of the program; empty if there are none.
+    struct rect_text about;
+    // Whether only the program itself changes it.
+    bool read_only;
+} rect_declared_parameter;
+
+// The parameters of a robot. Release them with `rect_drop(&parameters.id, ..)`.
+typedef struct rect_declared_parameters {
+    // The handle.
+    uint64_t id;
+    // The first parameter.
+    const struct rect_declared_parameter *items;
+    // Number of parameters.
+    size_t len;
+} rect_declared_parameters;
 
 // A change of a robot, a link or the router. It is valid until the callback returns.
 typedef struct rect_event {
@@ -818,27 +897,6 @@ typedef struct rect_log_item {
     // ones first.
     bool is_new;
 } rect_log_item;
-
-// The name and the value of a parameter. `rect_parameter_number("kp", 2.0)` makes one of a number, and similar functions of the other
-// types.
-typedef struct rect_parameter_value {
-    // The name of the parameter.
-    struct rect_text name;
-    // The type of the value: a `rect_parameter_type`.
-    uint32_t kind;
-    // The value of a bool.
-    bool boolean;
-    // The value of an integer.
-    int64_t integer;
-    // The value of a number or an integer.
-    double number;
-    // The value of a text or a choice.
-    struct rect_text text;
-    // The first number of a list.
-    const double *numbers;
-    // Number of elements of the list.
-    size_t numbers_len;
-} rect_parameter_value;
 
 // The values of parameters. Those that a function returns have an `id`, and are valid until `rect_drop(&values.id, ..)`. Those that are
 // passed to a callback have no `id`, and are valid until the callback returns. `rect_parameter_find` finds one.
@@ -1156,6 +1214,18 @@ typedef struct rect_queue_options {
     uint32_t when_full;
 } rect_queue_options;
 
+// The settings of a subscription. `rect_subscribe_options options = {0};` are the defaults, and so is NULL.
+typedef struct rect_subscribe_options {
+    // The settings of the receive queue.
+    struct rect_queue_options queue;
+    // How many messages of each topic are wanted a second at most, 0.01 to 1000; 0 means all, the default. The newest one wins. The
+    // router of the robot that publishes leaves out the others, so that they cost nothing on the air; they count as `skipped`, and not
+    // as missed. Messages that are sent to this robot alone, and retained ones, arrive as they are sent.
+    double max_hz;
+    // Whether only messages are wanted whose value differs from the last one. The default is no.
+    bool on_change;
+} rect_subscribe_options;
+
 // A subscription with a receive queue, from which `rect_subscriber_next` takes messages. `rect_drop(&subscriber.id, ..)`
 // ends the subscription.
 typedef struct rect_subscriber {
@@ -1312,7 +1382,9 @@ extern "C" {
 // ```
 //
 // Each goal has one end, which its client learns also after a cut. The robot's router keeps it for 10 minutes, and at most 16 for each
-// action. A callback that is cancelled should end soon (`rect_goal_is_cancelled`): a newer goal waits for that. A goal is also cancelled
+// action. A result has at most 16 MB; this program keeps one of more than 48 kB for its clients, while it runs.
+//
+// A callback that is cancelled should end soon (`rect_goal_is_cancelled`): a newer goal waits for that. A goal is also cancelled
 // when its client has left (`lost_after_ms`), and by the stop of the fleet, in which this program takes part.
 //
 // `action_name` has 1 to 40 letters, digits, `_`, `-` and `.`. `options` may be NULL: the defaults. `release` is called once with
@@ -1359,7 +1431,8 @@ enum rect_code rect_goal_sleep(uint64_t goal,
                                uint32_t ms,
                                struct rect_error *error);
 
-// Gives a goal its result: a payload of at most 48 kB. NULL: none. `goal` is the goal's `id`. The goal ends when the callback returns.
+// Gives a goal its result: a payload of at most 16 MB. NULL: none. `goal` is the goal's `id`. The goal ends when the callback returns. This
+// program keeps a result of more than 48 kB for 10 minutes, as long as it runs.
 //
 // Returns `RECT_CODE_ARGUMENT` if it has a result or a failure already, and `RECT_CODE_HANDLE` after the callback has returned. May be
 // called on any thread.
@@ -1459,12 +1532,13 @@ enum rect_code rect_action_run_cancel(struct rect_action_run run,
                                       struct rect_error *error);
 
 // Waits for the end of a goal, and writes its result to `result`: text, JSON or bytes; `null` as JSON if there is none. A robot that cannot
-// be reached does not end the wait.
+// be reached does not end the wait. A result of more than 48 kB is received from the program that has carried out the goal, which has to
+// run until then.
 //
-// Returns `RECT_CODE_GOAL` if the goal was not reached: the text states the end and the reason, and `rect_action_run_status` has both;
-// `RECT_CODE_TIMED_OUT` if it has not ended within `timeout_ms` (`RECT_FOREVER` waits without a limit): the text states its phase, and for
-// how long it has been in it; and `RECT_CODE_CLOSED` if the session was closed or another thread dropped the handle. May be called on any
-// thread.
+// Returns `RECT_CODE_GOAL` if the goal was not reached, or its result is gone: the text states the end and the reason, and
+// `rect_action_run_status` has both; `RECT_CODE_TIMED_OUT` if it has not ended within `timeout_ms` (`RECT_FOREVER` waits without a limit):
+// the text states its phase, and for how long it has been in it, or how much of the result has arrived; and `RECT_CODE_CLOSED` if the
+// session was closed or another thread dropped the handle. May be called on any thread.
 enum rect_code rect_action_run_result(struct rect_action_run run,
                                       uint32_t timeout_ms,
                                       struct rect_buffer *result,
@@ -1653,8 +1727,11 @@ enum rect_code rect_robot_remove_connection(struct rect_robot robot,
 // whose numbers are all 0. Retained and replayed messages never count, and neither do those that cannot be decoded, nor those for which
 // `is_command` returns false, such as a message that the program cannot read. `is_command` may be NULL.
 //
-// The callbacks are called on a thread of the switch, one at a time; they may call any function of RECT. One that takes long delays
-// the next one, also `on_lost`. If this program itself hangs, nothing stops its motors: use the watchdog of the motor controller as well.
+// `on_command` is called on a thread of its own, one command at a time. Commands that arrive meanwhile count only when it has returned: if
+// it takes longer than `within_ms`, the commander is lost. `on_lost` is called on another thread and does not wait for it: if
+// `on_command` is running, `on_lost` is called at once, and again as soon as that has returned, which may have started the motors in
+// between. `is_command` is called on the thread of `on_lost`, and not while `on_command` is running. All may call any function of RECT.
+// If this program itself hangs, nothing stops its motors: use the watchdog of the motor controller as well.
 //
 // `release` is called once with `context` when no more calls will follow, even if this function fails.
 //
@@ -1675,6 +1752,17 @@ enum rect_code rect_robot_deadman(struct rect_robot robot,
 enum rect_code rect_deadman_is_following(struct rect_deadman deadman,
                                          bool *is_following,
                                          struct rect_error *error);
+
+// Writes the parameters that the programs of a robot have declared to `parameters`, in the order in which the programs began. `target` is
+// the robot; NULL means this robot. `rect_robot_set_parameters` changes them.
+//
+// The answer is kept as that of `rect_robot_services`.
+//
+// Returns `RECT_CODE_NO_SERVICE` if no router with a catalogue answers. May be called on any thread; blocks until the reply arrives.
+enum rect_code rect_robot_declared_parameters(struct rect_robot robot,
+                                              const char *target,
+                                              struct rect_declared_parameters *parameters,
+                                              struct rect_error *error);
 
 // Trains a dictionary of at most `size` bytes (512 to 131072; 4 to 16 kB suit JSON) and writes it to `dictionary`.
 //
@@ -2053,6 +2141,13 @@ struct rect_payload rect_payload_json(const char *text);
 // Makes a payload of arbitrary bytes, encoding `zenoh/bytes`. The payload points to `data`, which must outlive it.
 struct rect_payload rect_payload_bytes(const void *data,
                                        size_t len);
+
+// Writes what the bytes of a payload are, by its encoding, to `out`. The bytes are not read.
+//
+// May be called on any thread.
+enum rect_code rect_payload_kind(const struct rect_payload *payload,
+                                 enum rect_encoding_kind *out,
+                                 struct rect_error *error);
 
 // Writes the text of a payload to `out`. The text is valid as long as the payload.
 //
@@ -2586,10 +2681,11 @@ enum rect_code rect_stream_sender_status(struct rect_stream_sender stream,
 // subscriber receives the matching messages that are published, and those that are sent to this robot. `options` may be
 // NULL for the defaults.
 //
-// Returns `RECT_CODE_TOPIC` or `RECT_CODE_NAME` if the pattern is invalid. May be called on any thread.
+// Returns `RECT_CODE_TOPIC` or `RECT_CODE_NAME` if the pattern is invalid, and `RECT_CODE_OPTION` if an option is. May be called on any
+// thread.
 enum rect_code rect_robot_subscribe(struct rect_robot robot,
                                     const char *pattern,
-                                    const struct rect_queue_options *options,
+                                    const struct rect_subscribe_options *options,
                                     struct rect_subscriber *subscriber,
                                     struct rect_error *error);
 
@@ -2627,11 +2723,12 @@ enum rect_code rect_subscriber_counts_by_sender(struct rect_subscriber subscribe
 //
 // `release` is called once with `context` when no more calls will follow, even if this function fails.
 //
-// Returns `RECT_CODE_TOPIC` or `RECT_CODE_NAME` if the pattern is invalid. May be called on any thread. The callback may call
+// Returns `RECT_CODE_TOPIC` or `RECT_CODE_NAME` if the pattern is invalid, and `RECT_CODE_OPTION` if an option is. May be called on any
+// thread. The callback may call
 // any function of RECT and may drop its own subscription.
 enum rect_code rect_robot_on_message(struct rect_robot robot,
                                      const char *pattern,
-                                     const struct rect_queue_options *options,
+                                     const struct rect_subscribe_options *options,
                                      rect_on_message callback,
                                      void *context,
                                      rect_release release,
