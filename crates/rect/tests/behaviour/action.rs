@@ -36,6 +36,13 @@ async fn until(run: &ActionRun, phase: Phase) {
     .await;
 }
 
+async fn until_end(run: &ActionRun) {
+    let mut changes = run.changes();
+    while !run.phase().is_end() {
+        soon(changes.next()).await;
+    }
+}
+
 /// Waits for an end that is not the goal, and returns its reason.
 async fn ended(run: &ActionRun, expected: Phase) -> String {
     match soon(run.result::<Value>()).await {
@@ -252,4 +259,60 @@ async fn a_goal_whose_program_ends_is_lost_and_one_whose_client_ends_is_cancelle
     drop(scan);
     assert_eq!(ended(&run, Phase::Cancelled).await, "the action has ended");
     drop(action);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_large_result_is_received_from_the_program_and_has_a_limit() {
+    let endpoint = free_endpoint();
+    let robot = listening("wombat", &endpoint).await;
+    let [base, laptop] = [
+        dialling("base", &endpoint).await,
+        dialling("laptop", &endpoint).await,
+    ];
+    let handler = |goal: Goal| async move {
+        let size: usize = goal.payload.value().map_err(|error| error.to_string())?;
+        Ok::<_, String>("x".repeat(size))
+    };
+    let action = robot.action("map", handler).await.expect("declared");
+    for client in [&laptop, &base] {
+        let known = client.wait_for_peer(robot.name().clone(), TIMEOUT).await;
+        known.expect("reachable");
+    }
+    let megabyte = "x".repeat(1 << 20);
+    let map = |size: usize| laptop.start("wombat", "map", Json(size));
+    let run = soon(map(1 << 20)).await.expect("accepted");
+    // A wait that is given up does not interrupt the reception.
+    let _ = timeout(Duration::from_millis(1), run.end()).await;
+    assert_eq!(
+        soon(run.result::<String>()).await.expect("a result"),
+        megabyte
+    );
+    assert_eq!(run.result_progress(), None);
+    // The end of the action is not that of its results.
+    drop(action);
+    let found = soon(base.find("wombat", "map", run.id()))
+        .await
+        .expect("found");
+    assert_eq!(
+        soon(found.result::<String>()).await.expect("a result"),
+        megabyte
+    );
+
+    let _action = robot.action("map", handler).await.expect("declared");
+    let refused = soon(map((16 << 20) + 1)).await.expect("accepted");
+    let reason = ended(&refused, Phase::Failed).await;
+    assert!(reason.contains("send it as a transfer"), "{reason}");
+
+    let run = soon(map(1 << 20)).await.expect("accepted");
+    until_end(&run).await;
+    soon(robot.close()).await.expect("closed");
+    match run.end_within(Duration::from_millis(300)).await {
+        Err(Error::TimedOut { expected, .. }) => assert_eq!(
+            expected,
+            "result of map of wombat, of which 0 B of 1048 kB have arrived,"
+        ),
+        other => panic!("{other:?}"),
+    }
+    soon(laptop.close()).await.expect("closed");
+    assert!(matches!(soon(run.end()).await, Err(Error::Closed)));
 }

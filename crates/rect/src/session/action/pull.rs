@@ -96,7 +96,9 @@ impl Followed {
         let executor = Executor::new(&inner.session, pull.map_err(unavailable)?, NoItems);
         *lock(&self.pulled.running) = Some(executor.shared().clone());
         // A request waits while a link has no room.
-        Ok(inner.runtime.spawn_blocking(move || executor.run_blocking()))
+        Ok(inner
+            .runtime
+            .spawn_blocking(move || executor.run_blocking()))
     }
 }
 
