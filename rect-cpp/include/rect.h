@@ -751,7 +751,7 @@ typedef struct rect_declared_parameter {
     double min;
     // The largest number; NAN: any.
     double max;
-    // The first choice; NULL if it is no choice.
+    // The first choice; NULL if it is not a choice.
     const struct rect_text *choices;
     // Number of choices.
     size_t choices_len;

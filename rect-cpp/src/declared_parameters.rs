@@ -28,7 +28,7 @@ pub struct DeclaredParameter {
     pub min: f64,
     /// The largest number; NAN: any.
     pub max: f64,
-    /// The first choice; NULL if it is no choice.
+    /// The first choice; NULL if it is not a choice.
     pub choices: *const Text,
     /// Number of choices.
     pub choices_len: usize,

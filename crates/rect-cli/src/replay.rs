@@ -205,7 +205,7 @@ impl Player {
         }
         if due.left_out() > 0 && !std::mem::replace(&mut self.has_left_out, true) {
             rect_terminal::errln!(
-                "rect: {} values of parameters, goals, alerts and stops were left out: at the router of a robot they belong to its programs",
+                "rect: the values of parameters, goals, alerts and stops were left out ({}): at the router of a robot they belong to its programs",
                 due.left_out()
             );
         }

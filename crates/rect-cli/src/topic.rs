@@ -140,7 +140,7 @@ pub async fn run(arguments: TopicArguments) -> Done {
                 mut topics,
                 problems,
             } = measure(&robot, publisher.as_ref(), None, measured.duration).await?;
-            let left_out = match all {
+            let left_out: usize = match all {
                 true => 0,
                 false => topics.iter_mut().map(|(_, of)| leave_goals_out(of)).sum(),
             };
@@ -154,7 +154,7 @@ pub async fn run(arguments: TopicArguments) -> Done {
             }
             if left_out > 0 {
                 rect_terminal::errln!(
-                    "rect: {left_out} topics of goals are not listed: `rect action list` shows the goals, and --all lists the topics"
+                    "rect: the topics of goals are left out: `rect action list` shows the goals, and --all lists their topics"
                 );
             }
             for problem in problems {

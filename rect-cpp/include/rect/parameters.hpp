@@ -143,7 +143,7 @@ struct DeclaredParameter {
     std::optional<double> min;
     /// The largest number; nothing: any.
     std::optional<double> max;
-    /// The choices; empty if it is no choice.
+    /// The choices; empty if it is not a choice.
     std::vector<std::string> choices;
     /// The unit, such as `m/s`; empty if there is none.
     std::string unit;

@@ -109,7 +109,7 @@ async fn a_command_that_hangs_does_not_delay_the_loss() {
     let stick = stick(&laptop).await;
     stick.publish(0.5).await.expect("sent");
     motors.until("drive 0.5").await;
-    // Commands that arrive meanwhile are no sign of life.
+    // Commands that arrive meanwhile are not a sign of life.
     stick.publish(0.6).await.expect("sent");
     on_lost.until("lost: no command of laptop for 200 ms").await;
     assert!(!switch.is_following());
