@@ -120,6 +120,15 @@ def test_access_control_permits_large_results(tmp_path: Path) -> None:
         assert start(one, "map").result(DEADLINE) == bytes(100_000)
 
 
+def test_command_prints_a_large_result(robots: Robots) -> None:
+    robots.server.action("numbers", lambda goal: list(range(20_000)))
+    robots.start("numbers", id="n1")
+    with robots.routers.tool("wombat-1", "action", "watch", "wombat-2", "numbers", "n1", "--json") as tool:
+        end = json.loads(tool.until('"result"'))
+        assert (end["phase"], end["result"]) == ("done", list(range(20_000)))
+        assert tool.ends() == 0
+
+
 def test_closed_client_ends_the_wait(robots: Robots) -> None:
     robots.server.action("map", lambda goal: MEGABYTE)
     run = robots.start("map")
