@@ -19,7 +19,7 @@ use rect_recording::{
     key_frames::KeyFrames,
     log_recorder::LogRecorder,
     report::EventReport,
-    Entry, ReadError, Reader, RecorderError, Selection, Settings, Split,
+    Entry, EntryPattern, ReadError, Reader, RecorderError, Selection, Settings, Split,
 };
 
 use crate::{
@@ -233,7 +233,8 @@ impl RecordingReader {
     /// Opens a file, or the folder of a recording that runs or was interrupted. Without patterns, all messages are read.
     #[new]
     fn new(path: PathBuf, patterns: Vec<String>) -> PyResult<Self> {
-        let patterns = key_space::patterns(&patterns)?;
+        let patterns = patterns.iter().map(|pattern| pattern.parse::<EntryPattern>());
+        let patterns = patterns.collect::<Result<_, _>>().or_raise()?;
         let selection = Selection {
             patterns,
             ..Selection::default()

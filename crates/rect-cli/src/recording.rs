@@ -2,7 +2,6 @@
 mod fetch;
 
 use std::{
-    fs::File,
     io::{self, BufWriter, Write},
     path::{Path, PathBuf},
     process::ExitCode,
@@ -10,13 +9,15 @@ use std::{
 };
 
 use clap::{Args, Subcommand, ValueEnum};
-use rect::Pattern;
-use rect_core::text::{display::line, humanize};
+use rect_core::{
+    storage::regular_file,
+    text::{display::line, humanize},
+};
 use rect_recording::{
     export::{Exporter, Format},
     merge::merge,
     pictures::Pictures,
-    Entry, Extras, Missing, ReadError, Reader, Selection, Summary,
+    Entry, EntryPattern, Extras, Missing, ReadError, Reader, Selection, Summary,
 };
 use rect_terminal::{self as terminal, paint, Cell, Style, Table};
 
@@ -97,9 +98,9 @@ enum ExportFormat {
 /// The part of a recording.
 #[derive(Args, Clone, Debug)]
 pub struct PartArguments {
-    /// Only these messages, <robot>/<topic> with wildcards
+    /// Only these messages, <robot>/<topic> with wildcards; /<topic> for those of other programs, such as /left/*
     #[arg(long = "topic", value_name = "PATTERN")]
-    patterns: Vec<Pattern>,
+    patterns: Vec<EntryPattern>,
     /// Begin at this time after the start, such as 90s
     #[arg(long = "from", value_name = "TIME", default_value = "0s")]
     begin: DurationArgument,
@@ -288,7 +289,7 @@ fn export(
     };
     match output {
         Some(path) => {
-            let file = File::create_new(path).map_err(|error| cannot_write(path, &error))?;
+            let file = regular_file::create_new(path).map_err(|error| cannot_write(path, &error))?;
             exported(entries, format, BufWriter::new(file))
         }
         None => match exported(entries, format, io::stdout().lock()) {

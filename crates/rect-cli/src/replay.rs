@@ -1,4 +1,6 @@
 //! Implements `rect replay`.
+mod presence;
+
 use std::{
     collections::{BTreeSet, HashMap},
     path::PathBuf,
@@ -30,6 +32,7 @@ use tokio::{
 };
 use zenoh::Session;
 
+use self::presence::Presence;
 use crate::{
     endpoint,
     keyboard::Keyboard,
@@ -55,8 +58,9 @@ const WATCHED_EVERY: Duration = Duration::from_millis(50);
 
 /// Publish the messages of a recording again, at their times
 ///
-/// By default the command starts a router of its own, at which the recorded robots appear as if they were running. The
-/// robots of a fleet are not affected: `rect sub --router tcp/127.0.0.1:7450 '*/**'` shows what is replayed.
+/// By default the command starts a router of its own, at which the recorded robots appear as if they were running: `rect peers` and
+/// `rect topic list` with the option `--router tcp/127.0.0.1:7450` show them, and `rect sub` what is replayed. The robots of a fleet are
+/// not affected.
 ///
 /// Keys: space pauses and continues, `n` publishes the next message, `+` and `-` change the rate, `q` ends the replay.
 #[derive(Args)]
@@ -109,6 +113,9 @@ fn rate(text: &str) -> Result<f64, String> {
 pub async fn run(arguments: ReplayArguments) -> Done {
     let (summary, error) = Summary::read(Reader::open(&arguments.recording)?);
     if let Some(error) = error {
+        if summary.messages == 0 {
+            return Err(error.into());
+        }
         rect_terminal::errln!("rect: {error}. The messages before that are replayed");
     }
     if arguments.dry_run {
@@ -197,10 +204,10 @@ impl Player {
         self.bar.finish_and_clear();
         let took = humanize::duration(started.elapsed());
         rect_terminal::errln!("rect: replayed {count} messages in {took}");
-        if due.skipped() > 0 {
+        let skipped: u64 = due.skipped().values().sum();
+        if skipped > 0 {
             rect_terminal::errln!(
-                "rect: skipped {} messages whose topics do not begin with the name of a robot; --as names one",
-                due.skipped()
+                "rect: skipped {skipped} messages whose topics do not begin with the name of a robot; --as names one"
             );
         }
         if due.left_out() > 0 && !std::mem::replace(&mut self.has_left_out, true) {
@@ -286,7 +293,8 @@ fn replayed(arguments: &ReplayArguments) -> Result<Replay<Reader>, Failure> {
 }
 
 fn dry_run(arguments: &ReplayArguments) -> Done {
-    for message in replayed(arguments)? {
+    let mut replay = replayed(arguments)?;
+    for message in replay.by_ref() {
         let Ok(Due {
             at,
             robot,
@@ -300,6 +308,12 @@ fn dry_run(arguments: &ReplayArguments) -> Done {
         let (at, topic) = (at.as_secs_f64(), line(topic.as_str()));
         rect_terminal::outln!("{at:10.3} s  {robot}/{topic}  {size}");
     }
+    for (topic, count) in replay.skipped() {
+        let topic = line(topic);
+        rect_terminal::outln!(
+            "   skipped  {topic}, {count} messages: it does not begin with the name of a robot; --as names one"
+        );
+    }
     Ok(ExitCode::SUCCESS)
 }
 
@@ -309,6 +323,8 @@ struct Robots {
     router: Option<Session>,
     /// The retained values of the robots, which the own router keeps.
     kept: Vec<KeptState>,
+    /// The robots, as programs at the own router see them.
+    shown: HashMap<Name, Presence>,
 }
 
 impl Robots {
@@ -339,7 +355,11 @@ impl Robots {
             let robot = options.connect().await?;
             robots.insert(robot.name().clone(), robot);
         }
+        let mut shown = HashMap::new();
         if let Some(router) = &router {
+            for (name, robot) in &robots {
+                shown.insert(name.clone(), Presence::start(robot)?);
+            }
             // Also for commands such as `rect sub`, which belong to none of the robots.
             for name in names.iter().map(String::as_str).chain([PLACEHOLDER]) {
                 kept.push(keep(router, &arguments.fleet, name)?);
@@ -357,6 +377,7 @@ impl Robots {
             robots,
             router,
             kept,
+            shown,
         })
     }
 
@@ -386,6 +407,9 @@ impl Robots {
         let Some(robot) = self.robots.get(&due.robot) else {
             return Ok(());
         };
+        if let Some(shown) = self.shown.get(&due.robot) {
+            shown.on_message(due.topic.as_str(), &due.entry.payload);
+        }
         match robot.replay(due.topic, due.entry).await {
             // The other messages do not depend on it.
             Err(error @ rect::Error::NotRetained { .. }) => {
@@ -397,6 +421,7 @@ impl Robots {
     }
 
     async fn close(self) -> Result<(), Failure> {
+        drop(self.shown);
         for robot in self.robots.values() {
             robot.close().await?;
         }

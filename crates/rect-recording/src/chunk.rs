@@ -1,8 +1,12 @@
 //! Reads the records of a chunk, which a writer has usually compressed.
+use std::io::Read;
+
+use lz4_flex::frame::FrameDecoder;
 use mcap::{records::ChunkHeader, McapError};
 
-/// The name of the compression that is supported besides none.
+/// The names of the compressions of the format. Recordings of RECT have the first one.
 const ZSTD: &str = "zstd";
+const LZ4: &str = "lz4";
 /// The size of a record's kind and of its length, in bytes.
 pub(super) const HEAD: usize = 1 + size_of::<u64>();
 
@@ -33,6 +37,15 @@ impl Chunk {
             "" => data.to_vec(),
             ZSTD => zstd::bulk::decompress(data, size)
                 .map_err(|error| McapError::DecompressionError(error.to_string()))?,
+            LZ4 => {
+                let mut records = Vec::new();
+                // One byte more shows that the header is wrong.
+                let mut decoder = FrameDecoder::new(data).take(size as u64 + 1);
+                match decoder.read_to_end(&mut records) {
+                    Ok(_) => records,
+                    Err(error) => return Err(McapError::DecompressionError(error.to_string())),
+                }
+            }
             other => return Err(McapError::UnsupportedCompression(other.to_owned())),
         };
         if records.len() != size {
@@ -80,6 +93,8 @@ impl Chunk {
 
 #[cfg(test)]
 mod tests {
+    use std::io::Write;
+
     use super::*;
 
     fn chunk(compression: &str, data: &[u8], size: u64) -> Result<Chunk, McapError> {
@@ -104,7 +119,10 @@ mod tests {
         let records = [record(5, b"message"), record(5, b"")].concat();
         let size = records.len() as u64;
         let compressed = zstd::bulk::compress(&records, 1).expect("compressed");
-        for (compression, data) in [("", &records), (ZSTD, &compressed)] {
+        let mut encoder = lz4_flex::frame::FrameEncoder::new(Vec::new());
+        encoder.write_all(&records).expect("compressed");
+        let lz4 = encoder.finish().expect("compressed");
+        for (compression, data) in [("", &records), (ZSTD, &compressed), (LZ4, &lz4)] {
             let chunk = chunk(compression, data, size).expect("a chunk");
             let record = |at| chunk.record(at).expect("whole");
             assert_eq!(record(0), Some((5, b"message".as_slice(), 16)));
@@ -128,7 +146,18 @@ mod tests {
             Err(McapError::DecompressionError(_))
         ));
         assert!(matches!(
-            chunk("lz4", b"x", 1),
+            chunk(LZ4, b"x", 2),
+            Err(McapError::DecompressionError(_))
+        ));
+        let mut bomb = lz4_flex::frame::FrameEncoder::new(Vec::new());
+        bomb.write_all(&vec![0; 1 << 20]).expect("compressed");
+        let bomb = bomb.finish().expect("compressed");
+        assert!(matches!(
+            chunk(LZ4, &bomb, 999),
+            Err(McapError::BadChunkLength { available: 1000, .. })
+        ));
+        assert!(matches!(
+            chunk("bz2", b"x", 1),
             Err(McapError::UnsupportedCompression(_))
         ));
         let mut record = record(5, b"message");

@@ -1,7 +1,7 @@
 //! Converts a recording for other programs: lines of JSON, or a table as CSV.
 use std::io::{self, Write};
 
-use rect_core::codec::Limits;
+use rect_core::{codec::Limits, text::display};
 use serde_json::{json, Value};
 
 use crate::entry::{Entry, RetainedKind};
@@ -15,6 +15,8 @@ pub enum Format {
     Csv,
 }
 
+/// The characters with which a formula may begin, also those of East Asian keyboards.
+const FORMULA: [char; 8] = ['=', '+', '-', '@', '＝', '＋', '－', '＠'];
 /// The first line of a CSV file.
 const HEADER: &str = "time_s,topic,sequence,field,value";
 /// How deeply nested values become rows of their own.
@@ -44,7 +46,7 @@ impl<W: Write> Exporter<W> {
     /// Fails if the output does.
     pub fn add(&mut self, entry: &Entry) -> io::Result<()> {
         match self.format {
-            Format::JsonLines => writeln!(self.to, "{}", as_json(entry)),
+            Format::JsonLines => writeln!(self.to, "{}", display::json(&as_json(entry).to_string())),
             Format::Csv => self.add_rows(entry, "", &value(entry), MAX_DEPTH),
         }
     }
@@ -119,12 +121,22 @@ fn value(entry: &Entry) -> Value {
         .unwrap_or_default()
 }
 
-/// Returns a cell of a CSV file (RFC 4180). A text that a spreadsheet would take for a formula is marked as text.
+/// Returns a cell of a CSV file (RFC 4180). A text that a spreadsheet may take for a formula is marked as text. A character that a
+/// terminal would interpret becomes U+FFFD, except line breaks and tabs; JSON Lines have it as it is.
 fn cell(text: &str) -> String {
-    let is_formula = text.starts_with(['=', '+', '-', '@']) && text.parse::<f64>().is_err();
-    let text = match is_formula {
-        true => format!("'{text}"),
-        false => text.to_owned(),
+    let is_formula = text.parse::<f64>().is_err()
+        && (text.starts_with(['\t', '\r', '\n'])
+            || text.trim_start().starts_with(FORMULA)
+            || text.trim_start_matches(display::is_harmful).starts_with(FORMULA));
+    let shown = |c| match c {
+        '\n' | '\t' => c,
+        c if display::is_harmful(c) => char::REPLACEMENT_CHARACTER,
+        c => c,
+    };
+    let plain = text.replace("\r\n", "\n").chars().map(shown).collect();
+    let text: String = match is_formula {
+        true => format!("'{plain}"),
+        false => plain,
     };
     if text.contains([',', '"', '\n', '\r']) {
         return format!("\"{}\"", text.replace('"', "\"\""));
@@ -181,6 +193,40 @@ mod tests {
         ];
         assert_eq!(rows, expected);
         assert!(csv.starts_with(HEADER));
+    }
+
+    #[test]
+    fn cells_that_may_be_formulas_are_marked() {
+        for (text, expected) in [
+            ("=1", "'=1"),
+            (" =1", "' =1"),
+            ("\t=1", "'\t=1"),
+            ("\tx", "'\tx"),
+            ("\rx", "'\u{fffd}x"),
+            ("\nx", "\"'\nx\""),
+            ("\u{a0}@x", "'\u{a0}@x"),
+            ("\u{200b}=x", "'\u{fffd}=x"),
+            ("＝1", "'＝1"),
+            ("-1.5", "-1.5"),
+            ("+1", "+1"),
+            ("a=1", "a=1"),
+            ("", ""),
+        ] {
+            assert_eq!(cell(text), expected, "{text:?}");
+        }
+    }
+
+    #[test]
+    fn exports_do_not_control_a_terminal() {
+        let attack = "a\x1b]0;pwned\x07\u{202e}\u{200b}b\rc";
+        let payload = Payload::new(attack, Encoding::TEXT);
+        let line = exported(Format::JsonLines, payload.clone());
+        let read: Value = serde_json::from_str(&line).expect("JSON");
+        assert_eq!(read["value"], attack);
+        for text in [line, exported(Format::Csv, payload)] {
+            let harmful = |c: char| c != '\n' && display::is_harmful(c);
+            assert!(!text.contains(harmful), "{text:?}");
+        }
     }
 
     #[test]

@@ -12,7 +12,10 @@ use mcap::{
     write::PrivateRecordOptions,
     McapError, WriteOptions, Writer,
 };
-use rect_core::name::{key::KeySpace, topic::Pattern};
+use rect_core::{
+    name::{key::KeySpace, topic::Pattern},
+    storage::regular_file,
+};
 
 use crate::{
     channel::{Channel, Form},
@@ -272,7 +275,7 @@ impl OpenFile {
             return Err(io::ErrorKind::AlreadyExists.into());
         }
         let part = part_of(&path);
-        let file = File::create_new(&part)?;
+        let file = regular_file::create_new(&part)?;
         match Encoder::with_profile(BufWriter::new(file), profile, about) {
             Ok(encoder) => Ok(Self { path, encoder }),
             Err(error) => {

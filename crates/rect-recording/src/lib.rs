@@ -8,6 +8,7 @@ pub mod backlog;
 pub mod channel;
 mod chunk;
 pub mod entry;
+mod entry_pattern;
 pub mod excerpt;
 pub mod export;
 pub mod file;
@@ -36,6 +37,7 @@ pub mod view;
 
 pub use entry::RetainedKind;
 pub use entry::{address, Entry};
+pub use entry_pattern::EntryPattern;
 pub use parts::Split;
 pub use reader::{Extras, Missing, ReadError, Reader};
 pub use recorder::{Progress, Recorder, Settings};

@@ -1,12 +1,12 @@
 //! Writes the pictures and videos of a recording to files.
 use std::{
     collections::{btree_map, BTreeMap},
-    fs::{self, File},
+    fs,
     io::{self, Write},
     path::PathBuf,
 };
 
-use rect_core::video::bitstream;
+use rect_core::{storage::regular_file, video::bitstream};
 
 use crate::{entry::Entry, picture, video_file::VideoFile};
 
@@ -29,7 +29,7 @@ impl Pictures {
     /// # Errors
     /// Fails if there is one of that name, or it cannot be created.
     pub fn create(folder: PathBuf) -> io::Result<Self> {
-        fs::create_dir(&folder)?;
+        regular_file::create_folder(&folder)?;
         Ok(Self {
             folder,
             last: BTreeMap::new(),
@@ -57,7 +57,7 @@ impl Pictures {
         }
         *number += 1;
         let mut file = loop {
-            match File::create_new(topic.join(format!("{number:06}.{format}"))) {
+            match regular_file::create_new(&topic.join(format!("{number:06}.{format}"))) {
                 Err(error) if error.kind() == io::ErrorKind::AlreadyExists => *number += 1,
                 created => break created?,
             }

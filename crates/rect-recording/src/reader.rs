@@ -7,7 +7,7 @@ mod layout;
 
 use std::{
     collections::VecDeque,
-    fs::{self, File},
+    fs,
     io::{self, Read, Seek},
     path::{Path, PathBuf},
     time::Duration,
@@ -17,6 +17,7 @@ use mcap::{
     sans_io::summary_reader::{SummaryReadEvent, SummaryReader, SummaryReaderOptions},
     McapError,
 };
+use rect_core::storage::regular_file;
 
 use self::{by_time::ByTime, input::Input, layout::MAX_RECORD};
 use crate::{
@@ -171,7 +172,7 @@ impl Reader {
                 let Some(path) = self.files.pop_front() else {
                     return Ok(None);
                 };
-                let file = File::open(&path).map_err(|source| ReadError::Io {
+                let file = regular_file::open(&path).map_err(|source| ReadError::Io {
                     path: path.clone(),
                     source,
                 })?;
@@ -241,7 +242,7 @@ pub fn files_of(path: &Path) -> Result<Vec<PathBuf>, ReadError> {
 /// Returns when the last message of a complete file was recorded, without reading the messages; `None` if the file is not
 /// complete.
 pub fn end_of(path: &Path) -> Option<Duration> {
-    let mut file = File::open(path).ok()?;
+    let mut file = regular_file::open(path).ok()?;
     let options = SummaryReaderOptions::default().with_record_length_limit(MAX_RECORD);
     let mut reader = SummaryReader::new_with_options(options);
     while let Some(event) = reader.next_event() {

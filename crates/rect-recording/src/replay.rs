@@ -3,15 +3,13 @@ use std::{collections::BTreeMap, time::Duration};
 
 use rect_core::{
     action, alert,
-    name::{
-        topic::{Pattern, Topic},
-        Name,
-    },
+    name::{topic::Topic, Name},
     parameters, stop,
 };
 
 use crate::{
     entry::{address, Entry, RetainedKind},
+    entry_pattern::EntryPattern,
     remap::{remapped, Remap},
     retained::{LastValues, Repeats},
 };
@@ -19,8 +17,8 @@ use crate::{
 /// The part of a recording that is replayed, exported or copied.
 #[derive(Clone, Debug, Default)]
 pub struct Selection {
-    /// The messages, as `<robot>/<topic>` with wildcards. Empty: all.
-    pub patterns: Vec<Pattern>,
+    /// The topics. Empty: all.
+    pub patterns: Vec<EntryPattern>,
     /// Where to begin, after the start of the recording.
     pub begin: Duration,
     /// Where to end, after the start of the recording. `None`: at its end.
@@ -30,8 +28,7 @@ pub struct Selection {
 impl Selection {
     /// Returns whether a message is among those that the patterns select.
     pub fn matches(&self, entry: &Entry) -> bool {
-        let topic = entry.topic.trim_start_matches('/');
-        self.patterns.is_empty() || self.patterns.iter().any(|pattern| pattern.matches(topic))
+        self.patterns.is_empty() || self.patterns.iter().any(|pattern| pattern.matches(&entry.topic))
     }
 }
 
@@ -115,7 +112,8 @@ pub struct Replay<I> {
     earlier: BTreeMap<String, Entry>,
     /// The first message after the beginning, while the earlier ones are returned.
     held: Option<Entry>,
-    skipped: u64,
+    /// The topics that are not those of a robot, and the numbers of their messages.
+    skipped: BTreeMap<String, u64>,
     /// Whether the robot is a real one, whose programs and router retain values of their own.
     is_live: bool,
     left_out: u64,
@@ -132,7 +130,7 @@ impl<E, I: Iterator<Item = Result<Entry, E>>> Replay<I> {
             started: None,
             earlier: BTreeMap::new(),
             held: None,
-            skipped: 0,
+            skipped: BTreeMap::new(),
             is_live: false,
             left_out: 0,
         }
@@ -152,9 +150,9 @@ impl<E, I: Iterator<Item = Result<Entry, E>>> Replay<I> {
         self.left_out
     }
 
-    /// Returns how many messages had a topic that is not that of a robot.
-    pub fn skipped(&self) -> u64 {
-        self.skipped
+    /// Returns the topics so far that are not those of a robot, and how many messages each of them had.
+    pub fn skipped(&self) -> &BTreeMap<String, u64> {
+        &self.skipped
     }
 
     fn next_entry(&mut self) -> Result<Option<Entry>, E> {
@@ -191,7 +189,9 @@ impl<E, I: Iterator<Item = Result<Entry, E>>> Replay<I> {
         let started = self.started.unwrap_or_default() + self.selection.begin;
         let at = entry.logged.saturating_sub(started);
         let name = remapped(&self.remaps, &entry.topic);
-        let (robot, topic) = match (&self.robot, address(&name)) {
+        // Other programs begin their topics with a slash, and none of the parts is a robot: /left/image and /right/image differ.
+        let is_whole = self.robot.is_some() && entry.topic.starts_with('/');
+        let (robot, topic) = match (&self.robot, address(&name).filter(|_| !is_whole)) {
             (None, address) => address?,
             (Some(robot), Some((_, topic))) => (robot.clone(), topic),
             (Some(robot), None) => (robot.clone(), Topic::new(&name).ok()?),
@@ -214,10 +214,11 @@ impl<E, I: Iterator<Item = Result<Entry, E>>> Iterator for Replay<I> {
                 Ok(entry) => entry?,
                 Err(error) => return Some(Err(error)),
             };
+            let topic = entry.topic.clone();
             match self.due(entry) {
                 Some(due) if self.is_live && is_of_robot(&due) => self.left_out += 1,
                 Some(due) => return Some(Ok(due)),
-                None => self.skipped += 1,
+                None => *self.skipped.entry(topic).or_default() += 1,
             }
         }
     }
@@ -300,7 +301,7 @@ mod tests {
     fn range_begins_with_the_last_value_of_each_topic() {
         let ms = Duration::from_millis;
         let selection = Selection {
-            patterns: vec![Pattern::new("a/*").expect("a pattern")],
+            patterns: vec!["a/*".parse().expect("a pattern")],
             begin: ms(250),
             end: Some(ms(350)),
         };
@@ -328,7 +329,7 @@ mod tests {
         ];
         let part = |begin, end| {
             let selection = Selection {
-                patterns: vec![Pattern::new("a/*").expect("a pattern")],
+                patterns: vec!["a/*".parse().expect("a pattern")],
                 begin: Duration::from_millis(begin),
                 end: Some(Duration::from_millis(end)),
             };
@@ -349,6 +350,20 @@ mod tests {
         let x = row("a/x", 300, "300", None);
         assert_eq!(part(260, 350), [mode, x]);
         assert_eq!(part(0, 40), [row("a/mode", 0, "0", Some(Value))]);
+    }
+
+    #[test]
+    fn topics_of_other_programs_stay_apart_under_one_robot() {
+        let recorded = [entry("/left/image", 0), entry("/right/image", 10), entry("/odom", 20)];
+        let robot = Some(Name::new("replay").expect("a name"));
+        let mut replay = Replay::new(recorded.into_iter(), Selection::default(), Vec::new(), robot);
+        let topics = replay.by_ref().map(|due| due.expect("no error").topic.to_string());
+        assert_eq!(topics.collect::<Vec<_>>(), ["left/image", "right/image", "odom"]);
+        let alone = [entry("/odom", 0), entry("odom", 1), entry("/odom", 2)];
+        let mut replay = Replay::new(alone.into_iter(), Selection::default(), Vec::new(), None);
+        assert_eq!(replay.by_ref().count(), 0);
+        let skipped = [("/odom".to_owned(), 2), ("odom".to_owned(), 1)];
+        assert_eq!(*replay.skipped(), BTreeMap::from(skipped));
     }
 
     #[test]

@@ -7,6 +7,8 @@ use std::{
     time::Duration,
 };
 
+use rect_core::storage::regular_file;
+
 use crate::{
     entry::Entry,
     file::{About, OpenFile, COMPLETE},
@@ -70,7 +72,7 @@ impl Segments {
     /// # Errors
     /// Fails with [`io::ErrorKind::AlreadyExists`] if another recorder writes there, or a recording was interrupted.
     pub fn create(folder: PathBuf, about: About, keep: Option<Duration>) -> io::Result<Self> {
-        fs::create_dir(&folder)?;
+        regular_file::create_folder(&folder)?;
         Ok(Self {
             folder,
             about,
@@ -219,7 +221,10 @@ impl Segments {
     pub fn continue_elsewhere(&mut self, renamed: &Path) -> io::Result<()> {
         // Made first: if the disk has no room for it, the recording continues in its folder.
         let next = self.folder.with_extension(NEXT);
-        fs::create_dir_all(&next)?;
+        match regular_file::create_folder(&next) {
+            Err(error) if !next.is_dir() => return Err(error),
+            _ => {}
+        }
         let moved = fs::rename(&self.folder, renamed).and_then(|()| {
             fs::rename(&next, &self.folder).inspect_err(|_| {
                 let _ = fs::rename(renamed, &self.folder);

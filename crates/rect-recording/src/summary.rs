@@ -1,5 +1,5 @@
 //! Summarises a recording: its topics, and how many messages and bytes each of them has.
-use std::{collections::BTreeMap, time::Duration};
+use std::{collections::BTreeMap, sync::Arc, time::Duration};
 
 use serde::Serialize;
 
@@ -44,9 +44,9 @@ pub struct TopicSummary {
     pub bytes: u64,
     /// The number of messages that are missing between the first and the last one of each publisher, by their numbers.
     pub missed: u64,
-    /// The last number of each publisher.
+    /// The last number of each publisher, or of each channel of a recording by another program.
     #[serde(skip)]
-    last: BTreeMap<Option<u16>, u32>,
+    last: BTreeMap<(Option<u16>, Option<usize>), u32>,
 }
 
 impl Summary {
@@ -98,7 +98,9 @@ impl Summary {
         if topic.encoding != entry.payload.encoding.as_str() {
             topic.encoding = entry.payload.encoding.as_str().to_owned();
         }
-        let last = topic.last.insert(entry.publisher, entry.sequence);
+        // A reader has one description of each channel.
+        let channel = entry.foreign.as_ref().map(|foreign| Arc::as_ptr(foreign).addr());
+        let last = topic.last.insert((entry.publisher, channel), entry.sequence);
         // Two recordings that were merged may have the same messages.
         let after = last.and_then(|last| entry.sequence.checked_sub(last));
         topic.missed += u64::from(after.unwrap_or(1).saturating_sub(1));

@@ -6,7 +6,10 @@ use std::{
     time::Duration,
 };
 
-use rect_core::video::bitstream::{is_key_frame, kind, units, Parameters};
+use rect_core::{
+    storage::regular_file,
+    video::bitstream::{is_key_frame, kind, units, Parameters},
+};
 use webm_iterable::{
     errors::TagWriterError,
     matroska_spec::{Master, MatroskaSpec as Tag},
@@ -100,7 +103,7 @@ impl VideoFile {
         self.files += 1;
         let path = self.current();
         let named = |error: &dyn std::fmt::Display| format!("{}: {error}", path.display());
-        let file = File::create_new(&path).map_err(|error| named(&error))?;
+        let file = regular_file::create_new(&path).map_err(|error| named(&error))?;
         let open = Open::begin(file, parameters, at).map_err(|error| named(&error))?;
         self.open = Some(open);
         Ok(())

@@ -214,6 +214,7 @@ fn recorded_messages_are_replayed() {
     let options = Options::new("viewer").expect("a name").login_file("/none");
     let options = options.router(&listen).timeout(TIMEOUT);
     let viewer = blocking::Robot::connect(options).expect("connected");
+    viewer.wait_for_peer("a", TIMEOUT).expect("it appears");
     let queue = QueueOptions {
         when_full: WhenFull::Block,
         ..QueueOptions::default()

@@ -8,7 +8,8 @@
 use std::{
     collections::{BTreeMap, VecDeque},
     fmt,
-    io::{self, Read},
+    io::{self, Read, Write},
+    os::unix::fs::{OpenOptionsExt, PermissionsExt},
     path::{Path, PathBuf},
     sync::Arc,
 };
@@ -25,6 +26,8 @@ pub const MIN_BYTES: usize = 512;
 /// The maximum amount of samples that training reads, in bytes.
 pub const MAX_SAMPLE_BYTES: usize = 64 << 20;
 
+/// The permissions of a new file: its owner writes, and its group reads it.
+const MODE: u32 = 0o640;
 const MAGIC: [u8; 4] = [0x37, 0xA4, 0x30, 0xEC];
 /// The length of the magic number and the id.
 const HEAD_BYTES: usize = 8;
@@ -163,7 +166,17 @@ impl Dictionary {
     /// Returns [`DictionaryError::File`] if the file cannot be written.
     pub fn write(&self, path: impl AsRef<Path>) -> Result<(), DictionaryError> {
         let path = path.as_ref();
-        std::fs::write(path, &self.bytes).map_err(|source| file_error(path, source))
+        let is_new = !path.exists();
+        let mut options = std::fs::OpenOptions::new();
+        let opened = options.write(true).create(true).truncate(true).mode(MODE).open(path);
+        let written = opened.and_then(|mut file| {
+            // Whatever the umask of the program is.
+            if is_new {
+                file.set_permissions(std::fs::Permissions::from_mode(MODE))?;
+            }
+            file.write_all(&self.bytes)
+        });
+        written.map_err(|source| file_error(path, source))
     }
 
     /// Returns the id by which frames refer to the dictionary, 32768 to 65535.

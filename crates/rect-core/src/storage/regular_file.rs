@@ -1,8 +1,8 @@
 //! Opens files that users name, and rejects pipes, devices and sockets, which could block the reader.
 use std::{
-    fs::{File, OpenOptions},
+    fs::{self, DirBuilder, File, OpenOptions},
     io::{self, Read},
-    os::unix::fs::OpenOptionsExt,
+    os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt},
     path::Path,
 };
 
@@ -23,6 +23,31 @@ pub fn open(path: &Path) -> io::Result<File> {
         return Err(io::Error::new(io::ErrorKind::InvalidInput, problem));
     }
     Ok(file)
+}
+
+/// The permissions of new files: their owner writes, and their group reads them.
+const MODE: u32 = 0o640;
+/// Those of new folders.
+const FOLDER_MODE: u32 = 0o750;
+
+/// Creates a file, whose permissions do not depend on the umask of the program.
+///
+/// # Errors
+/// Fails with [`io::ErrorKind::AlreadyExists`] if there is anything of that name, and if the file cannot be created.
+pub fn create_new(path: &Path) -> io::Result<File> {
+    let mut options = OpenOptions::new();
+    let file = options.write(true).create_new(true).mode(MODE).open(path)?;
+    file.set_permissions(fs::Permissions::from_mode(MODE))?;
+    Ok(file)
+}
+
+/// Does the same as [`create_new`] with a folder.
+///
+/// # Errors
+/// Fails like [`create_new`].
+pub fn create_folder(path: &Path) -> io::Result<()> {
+    DirBuilder::new().mode(FOLDER_MODE).create(path)?;
+    fs::set_permissions(path, fs::Permissions::from_mode(FOLDER_MODE))
 }
 
 /// Reads a text file of at most `max_bytes`.
@@ -59,7 +84,10 @@ fn check_size(read: usize, max_bytes: u64) -> io::Result<()> {
 mod tests {
     use std::fs;
 
-    use nix::{sys::stat::Mode, unistd::mkfifo};
+    use nix::{
+        sys::stat::{umask, Mode},
+        unistd::mkfifo,
+    };
 
     use super::*;
 
@@ -72,6 +100,24 @@ mod tests {
         assert_eq!(error.kind(), io::ErrorKind::InvalidInput);
         assert!(open(Path::new("/dev/zero")).is_err());
         assert!(open(folder.path()).is_err());
+    }
+
+    #[test]
+    fn permissions_of_new_files_do_not_depend_on_the_umask() {
+        let parent = tempfile::tempdir().expect("a folder");
+        let mode = |path: &Path| fs::metadata(path).expect("exists").permissions().mode() & 0o777;
+        for (n, mask) in [Mode::empty(), Mode::S_IRWXG | Mode::S_IRWXO].into_iter().enumerate() {
+            let [file, folder] = ["file", "folder"].map(|name| parent.path().join(format!("{name}-{n}")));
+            let before = umask(mask);
+            let created = create_new(&file).and_then(|_| create_folder(&folder));
+            umask(before);
+            created.expect("created");
+            assert_eq!((mode(&file), mode(&folder)), (MODE, FOLDER_MODE));
+            for again in [create_new(&file).map(drop), create_folder(&folder)] {
+                let error = again.expect_err("it exists");
+                assert_eq!(error.kind(), io::ErrorKind::AlreadyExists);
+            }
+        }
     }
 
     #[test]

@@ -10,6 +10,7 @@ use crate::{
         topic::{self, Topic},
         Name,
     },
+    text::display::is_harmful,
 };
 
 const VERSION: u8 = 1;
@@ -65,8 +66,8 @@ pub enum OfferError {
     Malformed(&'static str),
     /// The file name is too long, contains a character that is not allowed, or is that of a hidden file.
     #[error(
-        "{0:?} is not a valid file name: use up to {MAX_NAME_BYTES} bytes, no `/`, `\\` or `:`, no control characters, \
-         no `.` at the beginning"
+        "{0:?} is not a valid file name: use up to {MAX_NAME_BYTES} bytes, no `/`, `\\` or `:`, no control or \
+         invisible characters, no `.` at the beginning"
     )]
     Name(String),
 }
@@ -156,10 +157,10 @@ impl FileName {
     /// Creates a file name after checking it. The empty name stands for data without a name.
     ///
     /// # Errors
-    /// Returns [`OfferError::Name`] if the name is longer than [`MAX_NAME_BYTES`], contains `/`, `\`, `:` or a control
-    /// character, or begins with `.`.
+    /// Returns [`OfferError::Name`] if the name is longer than [`MAX_NAME_BYTES`], contains `/`, `\`, `:`, a control
+    /// character or one that makes text read differently, or begins with `.`.
     pub fn new(text: &str) -> Result<Self, OfferError> {
-        let bad = |c: char| c.is_control() || matches!(c, '/' | '\\' | ':');
+        let bad = |c: char| is_harmful(c) || matches!(c, '/' | '\\' | ':');
         if text.len() > MAX_NAME_BYTES || text.starts_with('.') || text.contains(bad) {
             return Err(OfferError::Name(
                 super::wire::cut(text, MAX_NAME_BYTES).to_owned(),

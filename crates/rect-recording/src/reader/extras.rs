@@ -10,6 +10,7 @@ use mcap::{
     records::{AttachmentHeader, Metadata},
     McapError,
 };
+use rect_core::storage::regular_file;
 
 use super::{files_of, input::Input, layout::Layout, Missing, ReadError};
 use crate::file::{About, ABOUT, PROFILE};
@@ -89,7 +90,7 @@ impl Extras {
         let mut profiles = Vec::new();
         for recording in recordings {
             for path in files_of(recording)? {
-                let layout = File::open(&path)
+                let layout = regular_file::open(&path)
                     .and_then(|file| Input::new(Box::new(file)))
                     .and_then(|mut input| Layout::read(&mut input, is_tolerant))
                     .map_err(|error| ReadError::of(&path, 0, error.into()))?;

@@ -15,8 +15,11 @@ use crate::{
     file::ORIGINAL,
 };
 
-/// The largest record that is read, in bytes. Recordings of RECT have chunks of about 1 MB.
+/// The largest record that is read, in bytes, except those with messages.
 pub(super) const MAX_RECORD: usize = 64 * 1024 * 1024;
+/// The largest chunk or message that is read, in bytes, also when it is decompressed. Recordings of RECT have chunks of about 1 MB; other
+/// programs may write all messages into a single one.
+const MAX_MESSAGES: usize = 1 << 30;
 /// How many bytes of messages outside of chunks make one block.
 const RUN_BYTES: u64 = 1 << 20;
 /// The size of the numbers at the beginning of a message.
@@ -69,7 +72,7 @@ impl Block {
             return Ok(Chunk::of(bytes));
         }
         match parsed(op::CHUNK, &bytes)? {
-            Record::Chunk { header, data } => Chunk::read(&header, &data, MAX_RECORD),
+            Record::Chunk { header, data } => Chunk::read(&header, &data, MAX_MESSAGES),
             _ => Err(McapError::UnexpectedEoc),
         }
     }
@@ -235,9 +238,13 @@ fn magic(input: &mut Input, at: u64) -> Result<u64, McapError> {
 }
 
 fn limited(opcode: u8, len: u64) -> Result<usize, McapError> {
+    let limit = match opcode {
+        op::CHUNK | op::MESSAGE | ORIGINAL => MAX_MESSAGES,
+        _ => MAX_RECORD,
+    };
     let length = usize::try_from(len).ok();
     length
-        .filter(|length| *length <= MAX_RECORD)
+        .filter(|length| *length <= limit)
         .ok_or(McapError::RecordTooLarge { opcode, len })
 }
 
@@ -268,7 +275,7 @@ fn is_chunk(bytes: &[u8], rest: u64) -> bool {
         return false;
     }
     let length = number(&bytes[1..]);
-    let fits = length <= MAX_RECORD as u64 && HEAD as u64 + length <= rest;
+    let fits = length <= MAX_MESSAGES as u64 && HEAD as u64 + length <= rest;
     let head = &bytes[HEAD..];
     let [first, last, size] = [0, 8, 16].map(|at| number(&head[at..]));
     let Some((name, records)) = head.get(28..).and_then(|rest| {
@@ -281,5 +288,5 @@ fn is_chunk(bytes: &[u8], rest: u64) -> bool {
     let is_known = [&b""[..], b"zstd", b"lz4"].contains(&name);
     let stored = (CHUNK_HEAD + name.len()) as u64;
     let is_stored = records.len() >= 8 && Some(number(records)) == length.checked_sub(stored);
-    fits && first <= last && size <= MAX_RECORD as u64 && is_known && is_stored
+    fits && first <= last && size <= MAX_MESSAGES as u64 && is_known && is_stored
 }

@@ -2,7 +2,7 @@
 use std::{
     collections::BTreeMap,
     fs::{self, File},
-    io::BufWriter,
+    io::{BufWriter, Write},
     path::{Path, PathBuf},
     slice::from_ref,
     time::Duration,
@@ -13,7 +13,7 @@ use mcap::{
     records::{MessageHeader, Metadata, Record},
     Attachment, WriteOptions,
 };
-use rect_recording::{by_time, merge::merge, Extras, Reader, Selection};
+use rect_recording::{by_time, merge::merge, Extras, Reader, Selection, Summary};
 
 use crate::{entry, read, written};
 
@@ -125,6 +125,111 @@ fn messages_are_read_in_the_order_of_their_times() {
         let times = selected.map(|entry| entry.expect("whole").logged.as_secs());
         assert_eq!(times.collect::<Vec<_>>(), (110..=120).collect::<Vec<_>>());
     }
+}
+
+/// Compresses the chunks of a file, which are not compressed yet, with LZ4.
+fn with_lz4(file: &[u8]) -> Vec<u8> {
+    const CHUNK: u8 = 6;
+    // The times, the size and the checksum of the records.
+    const FIXED: usize = 28;
+    let (mut found, mut rest) = file.split_at(8);
+    let mut written = found.to_vec();
+    while rest.len() > 8 {
+        let length = u64::from_le_bytes(*rest[1..].first_chunk().expect("a length"));
+        (found, rest) = rest.split_at(9 + usize::try_from(length).expect("short"));
+        if found[0] != CHUNK {
+            written.extend_from_slice(found);
+            continue;
+        }
+        let content = &found[9..];
+        let mut encoder = lz4_flex::frame::FrameEncoder::new(Vec::new());
+        // Behind the empty name of the compression and the size.
+        encoder.write_all(&content[FIXED + 12..]).expect("compressed");
+        let records = encoder.finish().expect("compressed");
+        let size = (records.len() as u64).to_le_bytes();
+        let chunk = [&content[..FIXED], &3_u32.to_le_bytes(), b"lz4", &size, &records].concat();
+        written.push(CHUNK);
+        written.extend_from_slice(&(chunk.len() as u64).to_le_bytes());
+        written.extend_from_slice(&chunk);
+    }
+    [&written, rest].concat()
+}
+
+#[test]
+fn lz4_is_read() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("lz4.mcap");
+    let options = WriteOptions::new().compression(None).emit_summary_records(false);
+    ros_file(&path, options.emit_message_indexes(false), &mixed());
+    let compressed = with_lz4(&fs::read(&path).expect("readable"));
+    fs::write(&path, compressed).expect("written");
+    let (entries, error) = read(&path);
+    assert!(error.is_none(), "{error:?}");
+    assert_eq!(entries.len(), 40);
+}
+
+/// One chunk with all messages, and an attachment, of more than 64 MB each.
+#[test]
+fn large_chunks_and_attachments_are_read() {
+    const MB: usize = 1 << 20;
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("large.mcap");
+    let file = BufWriter::new(File::create(&path).expect("created"));
+    let options = WriteOptions::new().compression(None).chunk_size(None);
+    let mut writer = options.create(file).expect("begun");
+    let attachment = Attachment {
+        log_time: 1,
+        create_time: 2,
+        name: "map".to_owned(),
+        media_type: "application/octet-stream".to_owned(),
+        data: vec![7; 65 * MB].into(),
+    };
+    writer.attach(&attachment).expect("written");
+    let channel = writer.add_channel(0, "/cloud", "cdr", &BTreeMap::new()).expect("written");
+    for sequence in 0..17 {
+        let header = MessageHeader {
+            channel_id: channel,
+            sequence,
+            log_time: u64::from(sequence),
+            publish_time: 0,
+        };
+        let data = vec![0; 4 * MB];
+        writer.write_to_known_channel(&header, &data).expect("written");
+    }
+    writer.finish().expect("finished");
+    let (entries, error) = read(&path);
+    assert!(error.is_none(), "{error:?}");
+    assert_eq!(entries.len(), 17);
+    let extras = Extras::of(&[path]).expect("read");
+    let (header, size, _) = extras.attachments[0].open().expect("whole");
+    assert_eq!((header.name.as_str(), size), ("map", 65 << 20));
+}
+
+/// Each channel counts for itself, although several have the same topic.
+#[test]
+fn sequence_numbers_count_per_channel() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("two.mcap");
+    let file = BufWriter::new(File::create(&path).expect("created"));
+    let mut writer = WriteOptions::new().create(file).expect("begun");
+    let channels = ["one", "two"].map(|node| writer.add_channel(0, "/tf", "cdr", &map("node", node)));
+    let channels = channels.map(|channel| channel.expect("written"));
+    for n in 0..10 {
+        for (channel_id, first) in channels.into_iter().zip([0, 1000]) {
+            let header = MessageHeader {
+                channel_id,
+                sequence: first + n,
+                log_time: u64::from(n),
+                publish_time: 0,
+            };
+            writer.write_to_known_channel(&header, b"x").expect("written");
+        }
+    }
+    writer.finish().expect("finished");
+    let (summary, error) = Summary::read(Reader::open(&path).expect("opened"));
+    assert!(error.is_none(), "{error:?}");
+    assert_eq!(summary.topics["/tf"].messages, 20);
+    assert_eq!(summary.topics["/tf"].missed, 0);
 }
 
 #[test]

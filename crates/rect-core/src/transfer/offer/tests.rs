@@ -48,6 +48,8 @@ fn file_names_cannot_refer_to_other_folders() {
         "c:x",
         "a\nb",
         "a\0",
+        "invoice\u{202e}fdp.exe",
+        "a\u{200b}b",
     ] {
         let mut offer = sample(1);
         offer.name = FileName(bad.to_owned());
