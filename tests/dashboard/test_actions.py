@@ -185,6 +185,19 @@ def test_actions_are_no_services_and_goals_are_received_only_while_they_are_show
         expect(running(page)).to_contain_text("is carried out")
 
 
+def test_topics_of_goals_are_listed_only_if_the_filter_names_them(page: Page, fleet: Fleet, dashboard: str) -> None:
+    with digging(fleet) as robot:
+        robot.publish("mode", "auto", retained=True)
+        run = robot.start("wombat-2", "dig", 3)
+        run.result(timeout=TIMEOUT_S)
+        page.goto(f"{dashboard}/#topics")
+        topics = page.get_by_role("region", name="Topics")
+        expect(topics).to_contain_text("wombat-2/mode")
+        expect(topics).not_to_contain_text("actions/dig")
+        page.get_by_label("Filter topics").fill("actions/dig")
+        expect(topics).to_contain_text(f"wombat-2/actions/dig/{run.id}")
+
+
 def test_a_page_that_only_shows_has_no_buttons(page: Page, fleet: Fleet) -> None:
     with digging(fleet) as robot, fleet.dashboard("--read-only") as url:
         page.goto(f"{url}/#actions")
