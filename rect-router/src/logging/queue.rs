@@ -12,6 +12,8 @@ use std::{
     time::Duration,
 };
 
+use rect_core::text::humanize::without_locations;
+
 /// Maximum number of queued lines, for a burst while the disk or the terminal is busy. With lines of 300 bytes, 1.2 MB.
 const CAPACITY: usize = 4096;
 
@@ -98,7 +100,10 @@ impl<W: Write> Writer<W> {
             }
             noted?;
         }
-        self.out.write_all(line)?;
+        match std::str::from_utf8(line) {
+            Ok(text) => self.out.write_all(without_locations(text).as_bytes())?,
+            Err(_) => self.out.write_all(line)?,
+        }
         self.out.flush()
     }
 }

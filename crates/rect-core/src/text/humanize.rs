@@ -1,6 +1,6 @@
 //! Formats errors, durations and sizes for people.
 
-use std::{error::Error, time::Duration};
+use std::{borrow::Cow, error::Error, time::Duration};
 
 /// The maximum length of a reason that must fit one line, in characters.
 const REASON_CHARACTERS: usize = 120;
@@ -116,6 +116,31 @@ fn clean_up(error: &str) -> String {
     text.replace(" - Caused by ", ": ")
 }
 
+/// Returns a text without the source locations that Zenoh adds to its errors, ` at /path/file.rs:123.`: they are paths of the computer
+/// on which the program was built. Everything else stays as it is, also the locations of a panic, `file.rs:123:45`.
+pub fn without_locations(text: &str) -> Cow<'_, str> {
+    const AT: &str = " at ";
+    if !text.contains(".rs:") {
+        return text.into();
+    }
+    let (mut kept, mut rest) = (String::with_capacity(text.len()), text);
+    while let Some(begin) = rest.find(AT) {
+        let (before, word) = (&rest[..begin], &rest[begin + AT.len()..]);
+        let end = word.find(char::is_whitespace).unwrap_or(word.len());
+        kept.push_str(before);
+        match after_source_line(&word[..end]).filter(|after| !after.starts_with(':')) {
+            Some(after) => kept.push_str(after),
+            None => {
+                kept.push_str(AT);
+                kept.push_str(&word[..end]);
+            }
+        }
+        rest = &word[end..];
+    }
+    kept.push_str(rest);
+    kept.into()
+}
+
 /// Returns the rest of the word after `/path/file.rs:123.`, if the word is such a location.
 fn after_source_line(word: &str) -> Option<&str> {
     let (_, line) = word.split_once(".rs:")?;
@@ -132,6 +157,26 @@ mod tests {
     struct TestError {
         text: &'static str,
         source: Option<Box<TestError>>,
+    }
+
+    #[test]
+    fn source_locations_of_errors_are_removed_and_those_of_panics_stay() {
+        let line = "WARN  net-1 zenoh: cannot open x: refused at /root/.cargo/src/lib.rs:62. at /b/c.rs:7.\n";
+        assert_eq!(
+            without_locations(line),
+            "WARN  net-1 zenoh: cannot open x: refused\n"
+        );
+        let more = "error=it failed at /a/b.rs:3. - Caused by no at y.rs at 12:30  (file.rs:1)\n";
+        let kept = "error=it failed - Caused by no at y.rs at 12:30  (file.rs:1)\n";
+        assert_eq!(without_locations(more), kept);
+        for same in [
+            "thread main: panicked at crates/a/src/lib.rs:68:5:\nno\n",
+            "      at ./src/main.rs:7:1\n",
+            "listening at tcp/127.0.0.1:7447",
+            "ends with at ",
+        ] {
+            assert_eq!(without_locations(same), same);
+        }
     }
 
     #[test]
