@@ -111,6 +111,15 @@ pub fn public_error(endpoint: &EndPoint, error: zenoh_result::Error) -> zenoh_re
     .into()
 }
 
+/// Returns the reason of a failure after the dial for everybody. If the address is a path, it is that of a failed dial, which does not show
+/// whether something accepts connections there.
+pub fn public_reason(endpoint: &EndPoint, reason: &str) -> String {
+    match WITH_PATH.contains(&endpoint.protocol().as_str()) {
+        true => public_error(endpoint, reason.to_owned().into()).to_string(),
+        false => reason.to_owned(),
+    }
+}
+
 fn names_file(option: &str) -> bool {
     option == SECRET || option.ends_with(FILE_SUFFIX)
 }
@@ -194,6 +203,9 @@ mod tests {
         };
         let socket = "unixsock-stream//run/other.sock";
         assert_eq!(shown(socket, "no such file"), shown(socket, "refused"));
+        // Something listens, and does not answer.
+        let later = public_reason(&socket.parse().expect("an endpoint"), "no answer");
+        assert_eq!(later, shown(socket, "refused"));
         assert_eq!(shown("tcp/10.0.0.1:7447", "refused"), "refused");
     }
 }

@@ -170,7 +170,7 @@ impl NamedConnection {
 impl LinkObserver for NamedConnection {
     fn on_link_error(&self, reason: &str) {
         self.state.lock().last_error = Some(LastError {
-            reason: reason.to_owned(),
+            reason: option_files::public_reason(&self.spec.endpoint, reason),
             at: SystemTime::now(),
         });
     }
