@@ -29,6 +29,11 @@ const ASK: Duration = Duration::from_secs(5);
 const FIRST_PAUSE: Duration = Duration::from_millis(100);
 /// The maximum pause between two questions.
 const LAST_PAUSE: Duration = Duration::from_secs(2);
+/// How long a transfer without progress counts towards the limit of concurrent transfers. After that it may continue, but does not keep
+/// out others: a robot that confirms its offers and then sends nothing would hold its places until the timeout, which is minutes.
+const SILENT: Duration = Duration::from_secs(20);
+/// The maximum number of concurrent transfers, including those without progress, as a multiple of the limit.
+const MAX_WITH_SILENT: usize = 2;
 /// The maximum number of unconfirmed offers in the name of one robot.
 const MAX_UNCONFIRMED_OF_ONE: usize = 8;
 /// The maximum number of unconfirmed offers of all robots.
@@ -54,6 +59,8 @@ pub struct Admission {
     unconfirmed: BTreeMap<TransferId, Unconfirmed>,
     running: BTreeMap<TransferId, Running>,
     ended: VecDeque<(TransferId, u64, Answer)>,
+    /// The time of the last offer or poll; `None` before the first one.
+    now: Option<Instant>,
 }
 
 /// An offer whose sender has not confirmed it. Only its sender and the hash of its content are stored; the rest comes
@@ -78,8 +85,19 @@ enum Inquiry {
 struct Running {
     offer: Offer,
     received_bytes: u64,
+    /// Whether something was received since `active_at`.
+    has_progress: bool,
+    /// The last time at which it was known to progress: its begin, or the first offer or question after progress.
+    active_at: Instant,
     /// Whether the transfer has arrived and waits for the program.
     is_untaken: bool,
+}
+
+impl Running {
+    /// Returns whether nothing was received for a while.
+    fn is_silent(&self, now: Instant) -> bool {
+        !self.is_untaken && now.saturating_duration_since(self.active_at) >= SILENT
+    }
 }
 
 /// The reaction to an offer.
@@ -132,11 +150,21 @@ impl Admission {
             unconfirmed: BTreeMap::new(),
             running: BTreeMap::new(),
             ended: VecDeque::new(),
+            now: None,
+        }
+    }
+
+    /// Takes over the time, and what has progressed until then.
+    fn on_time(&mut self, now: Instant) {
+        self.now = Some(now);
+        for running in self.running.values_mut().filter(|one| one.has_progress) {
+            (running.has_progress, running.active_at) = (false, now);
         }
     }
 
     /// Handles an offer whose sender is not verified yet. Call [`Self::poll`] afterwards.
     pub fn on_offer(&mut self, now: Instant, bytes: &[u8]) -> Decision {
+        self.on_time(now);
         let refused = |refusal| Decision::Answer(Answer::Refused(refusal));
         let offer = match Offer::decode(bytes) {
             Ok(offer) => offer,
@@ -167,7 +195,7 @@ impl Admission {
         if let Some(refusal) = self.refusal(&offer) {
             return refused(refusal);
         }
-        if let Some(answer) = self.without_room(&offer.sender) {
+        if let Some(answer) = self.without_room(now, &offer.sender) {
             return Decision::Answer(answer);
         }
         if !self.ask(now, id, &offer.sender) {
@@ -178,6 +206,7 @@ impl Admission {
 
     /// Returns what to do now. Call it repeatedly until it returns [`Step::Wait`].
     pub fn poll(&mut self, now: Instant) -> Step {
+        self.on_time(now);
         let lost =
             |offer: &Unconfirmed| matches!(offer.state, Inquiry::Asked(until) if until <= now);
         let late = self.unconfirmed.iter().filter(|(_, known)| lost(known));
@@ -217,12 +246,16 @@ impl Admission {
         }
         // The confirmation counts, and not the offer that led to it.
         let is_new = self.answer_of(id, offer.call).is_none() && self.refusal(&offer).is_none();
-        if !is_new || self.without_room(&offer.sender).is_some() {
+        // There was an offer before.
+        let now = self.now?;
+        if !is_new || self.without_room(now, &offer.sender).is_some() {
             return None;
         }
         let running = Running {
             offer: offer.clone(),
             received_bytes: 0,
+            has_progress: false,
+            active_at: now,
             is_untaken: false,
         };
         self.running.insert(id, running);
@@ -312,9 +345,13 @@ impl Admission {
     }
 
     /// Returns the answer to an offer of that robot for which there is no room, or `None` if there is room.
-    fn without_room(&self, from: &Name) -> Option<Answer> {
+    fn without_room(&self, now: Instant, from: &Name) -> Option<Answer> {
         let max = self.rules.max_concurrent;
-        let all: Vec<_> = self.running.values().collect();
+        if self.running.len() >= MAX_WITH_SILENT * max {
+            return Some(Answer::Busy);
+        }
+        let active = self.running.values().filter(|known| !known.is_silent(now));
+        let all: Vec<_> = active.collect();
         let of_one = all.iter().filter(|known| known.offer.sender == *from);
         let of_one: Vec<_> = of_one.copied().collect();
         let in_the_way = if of_one.len() >= max.div_ceil(2) {
@@ -344,6 +381,7 @@ impl Admission {
     /// Handles progress of a transfer.
     pub fn on_received_bytes(&mut self, id: TransferId, received_bytes: u64) {
         if let Some(running) = self.running.get_mut(&id) {
+            running.has_progress |= running.received_bytes != received_bytes;
             running.received_bytes = received_bytes;
         }
     }

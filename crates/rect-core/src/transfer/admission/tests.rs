@@ -353,3 +353,26 @@ fn a_program_that_takes_nothing_has_no_room() {
     assert_eq!(answer(&mut bench, &offers[0]), Answer::Done);
     bench.accept(&offers[2]);
 }
+
+#[test]
+fn transfers_without_progress_do_not_keep_out_others() {
+    let mut bench = Bench::with_max_concurrent("*/**", 2);
+    let (silent, lively) = (of("wombat-3", 1), of("wombat-4", 2));
+    bench.accept(&silent);
+    let id = bench.accept(&lively);
+    let others = [5, 6, 7].map(|robot| of(&format!("wombat-{robot}"), robot));
+    let busy = Decision::Answer(Answer::Busy);
+    assert_eq!(bench.offer(&others[0]), busy);
+    bench.now += SILENT / 2;
+    bench.admission.on_received_bytes(id, 1);
+    assert_eq!(bench.offer(&others[0]), busy);
+    // One of the two has been silent for a while, and the other one has progressed since.
+    bench.now += SILENT / 2;
+    bench.accept(&others[0]);
+    assert_eq!(bench.offer(&others[1]), busy);
+    // A silent transfer continues; those that are silent are bounded, too.
+    assert!(matches!(bench.offer(&silent), Decision::Running(..)));
+    bench.now += SILENT;
+    bench.accept(&others[1]);
+    assert_eq!(bench.offer(&others[2]), busy);
+}
