@@ -109,9 +109,19 @@ pub fn robot_of_router(id: &str) -> String {
     router::robot_of_router(id)
 }
 
-/// Raises `WrongRobot` if there are tokens, and none of them names the robot of the key space.
+/// Raises `WrongRobot` if there are tokens, and none of them names the robot of the key space, and `NoRouter` if the router has closed
+/// the session.
 #[pyfunction]
-pub fn check_router(key_space: &KeySpace, endpoint: &str, tokens: Vec<String>) -> PyResult<()> {
+pub fn check_router(
+    py: Python<'_>,
+    key_space: &KeySpace,
+    endpoint: &str,
+    tokens: Vec<String>,
+    is_closed: bool,
+) -> PyResult<()> {
+    if tokens.is_empty() && is_closed {
+        return Err(raised(py, "NoRouter", (endpoint, router::CLOSED)));
+    }
     key_space.0.check_router(endpoint, tokens).or_raise()
 }
 

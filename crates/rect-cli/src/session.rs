@@ -1,12 +1,15 @@
 //! Connects a command to a router: its arguments, and the name under which it connects.
-use std::path::PathBuf;
+use std::{path::PathBuf, time::Duration};
 
 use clap::{
     builder::{PossibleValuesParser, TypedValueParser},
     Args,
 };
 use rect::{Error, Name, Options, Robot, Urgency};
-use rect_core::session::login::{default_file, FILE_VARIABLE};
+use rect_core::session::{
+    login::{default_file, FILE_VARIABLE},
+    router::CLOSED,
+};
 use serde_json::Value;
 use zenoh::query::ConsolidationMode;
 
@@ -15,6 +18,10 @@ use crate::{endpoint, Failure};
 /// The name under which a command connects while the name of the router's robot is not known. Nothing is published
 /// under it.
 pub const PLACEHOLDER: &str = "rect-tool";
+
+/// How often a command looks whether the router closes the session, and the pause between two looks.
+const LOOKS: usize = 10;
+const PAUSE: Duration = Duration::from_millis(50);
 
 /// The router to connect to, and the name under which to connect.
 #[derive(Args, Clone, Debug)]
@@ -133,7 +140,9 @@ impl JoinArguments {
             let Ok(sample) = reply.into_result() else {
                 continue;
             };
-            let status: Value = serde_json::from_slice(&sample.payload().to_bytes())?;
+            // An answer of another robot that cannot be read does not matter.
+            let status = serde_json::from_slice(&sample.payload().to_bytes());
+            let status: Value = status.unwrap_or_default();
             if status["id"] == router.as_str() {
                 found = sample
                     .key_expr()
@@ -144,7 +153,16 @@ impl JoinArguments {
                 break;
             }
         }
+        let is_closed = found.is_none() && is_closed(zenoh).await;
         placeholder.close().await?;
+        if is_closed {
+            return Err(Error::NoRouter {
+                endpoint: self.router.clone(),
+                reason: CLOSED.to_owned(),
+                source: None,
+            }
+            .into());
+        }
         found.ok_or_else(|| {
             Unnamed {
                 router: self.router.clone(),
@@ -153,6 +171,19 @@ impl JoinArguments {
             .into()
         })
     }
+}
+
+/// Returns whether the router closes the session. Zenoh opens it again and again, so that it may be open at the moment.
+async fn is_closed(session: &zenoh::Session) -> bool {
+    for _ in 0..LOOKS {
+        let info = session.info();
+        let is_open = info.routers_zid().await.next().is_some();
+        if !is_open && info.peers_zid().await.next().is_none() {
+            return true;
+        }
+        tokio::time::sleep(PAUSE).await;
+    }
+    false
 }
 
 /// The router belongs to no robot of the fleet.

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import time
+from typing import TYPE_CHECKING
+
 from rect import _rect
 from rect.decoder import Decoder
 from rect.events import follow_links
@@ -12,6 +15,9 @@ from rect.program import Presence, name_of_script
 from rect.recipients import Recipients
 from rect.session import Session
 from rect.state import State
+
+if TYPE_CHECKING:
+    import zenoh
 
 
 def open_session(options: Options) -> Session:
@@ -29,9 +35,20 @@ def open_session(options: Options) -> Session:
             Executor(session, _rect.throttle(session.key_space), session.warn).start("rect throttle")
         else:
             if not options.allow_name_mismatch:
-                _rect.check_router(session.key_space, options.endpoint, tokens_of_router(session.zenoh))
+                tokens = tokens_of_router(session.zenoh)
+                is_closed = not tokens and _is_closed(session.zenoh)
+                _rect.check_router(session.key_space, options.endpoint, tokens, is_closed)
             session.links = follow_links(session)
     except BaseException:
         session.close()
         raise
     return session
+
+
+def _is_closed(session: zenoh.Session) -> bool:
+    """Returns whether the router, which has not named its robot, has closed the session."""
+    for _ in range(3):
+        time.sleep(0.03)
+        if not session.info.routers_zid() and not session.info.peers_zid():
+            return True
+    return False

@@ -3,13 +3,14 @@ use std::{
     net::{TcpStream, ToSocketAddrs},
     os::unix::net::UnixStream,
     path::Path,
+    thread,
     time::Duration,
 };
 
 use rect_core::{
     message::{encoding::Encoding, payload::Payload},
     registry::error_reply,
-    session::login,
+    session::{endpoint, login, router::CLOSED},
     text::{
         display::line,
         humanize::{self, short_reason},
@@ -30,6 +31,10 @@ const REPLY_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// Timeout for finding out whether the router accepts connections at all.
 const PROBE_TIMEOUT: Duration = Duration::from_secs(2);
+
+/// How often a command looks whether the router closes the session, and the pause between two looks.
+const LOOKS: usize = 10;
+const PAUSE: Duration = Duration::from_millis(50);
 
 /// The reason why no session with a router could be opened.
 #[derive(Debug, thiserror::Error)]
@@ -161,6 +166,15 @@ pub(super) fn answers(session: &Session, selector: &str) -> Result<Answers, Fail
     })
 }
 
+/// Returns whether the router closes the session. Zenoh opens it again and again, so that it may be open at the moment.
+fn is_closed(session: &Session) -> bool {
+    (0..LOOKS).any(|_| {
+        thread::sleep(PAUSE);
+        let info = session.info();
+        info.routers_zid().wait().next().is_none() && info.peers_zid().wait().next().is_none()
+    })
+}
+
 /// Queries the document `name` of the robots and prints the replies, as JSON or as the table that `table` returns. It adds to the
 /// problems what it cannot show. Problems are printed, too; they fail the command only if there is no reply to show.
 ///
@@ -177,6 +191,11 @@ pub(super) fn show(
         documents,
         mut problems,
     } = answers(&session, &format!("{fleet}/{robot}/@rect/{name}"))?;
+    if documents.is_empty() && is_closed(&session) {
+        let RouterArgs { router, .. } = &args.router;
+        let advice = endpoint::advice(router, CLOSED, "rect-router");
+        return Err(format!("no router answers at {router}: {CLOSED}. {advice}").into());
+    }
     if documents.is_empty() {
         if let Some(problem) = problems.into_iter().next() {
             return Err(problem.into());

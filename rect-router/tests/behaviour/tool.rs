@@ -7,7 +7,7 @@ use std::{
     time::Instant,
 };
 
-use crate::support::{built, client, file, skip, Air, Wombat, DEADLINE};
+use crate::support::{built, client, file, init, program, skip, start_with, Air, Wombat, DEADLINE};
 use serde_json::Value;
 use tempfile::TempDir;
 use zenoh::Wait;
@@ -118,6 +118,32 @@ fn robots_are_listed_although_another_one_replies_with_an_error() {
     let too_long = run(&one, &["topic", "list", "--duration", "1m"]);
     assert_eq!(too_long.status.code(), Some(2), "{}", text_of(&too_long));
     drop((wrong, odd));
+}
+
+#[test]
+fn a_login_that_has_all_its_sessions_is_the_reason_of_the_failure() {
+    if !built().join("rect").exists() {
+        return skip("needs the tool: cargo build --workspace");
+    }
+    let (air, root) = (Air::new(), tempfile::tempdir().expect("a folder"));
+    let folder = init(root.path(), "wombat-1", &[]);
+    let limit = ["--cfg", "plugins/rect/sessions:{per_user:1}"];
+    let (_router, endpoint) = start_with(&air, &folder, "wombat-1", &limit);
+    let _first = program(&folder, &endpoint);
+    let users = format!("{folder}/users");
+    let named = ["pub", "arm/angle", "1", "--as", "wombat-1"];
+    for command in [&["status"][..], &["peers"], &named[..3], &named] {
+        let mut rect = Command::new(built().join("rect"));
+        rect.args(command)
+            .args(["--router", &endpoint, "--users", &users]);
+        let output = rect.output().expect("it runs");
+        let text = text_of(&output);
+        // The router closes the session only after it has opened it, so that a command may have been faster.
+        assert!(
+            output.status.success() || text.contains("all sessions that one login may have"),
+            "{command:?}: {text}"
+        );
+    }
 }
 
 #[test]

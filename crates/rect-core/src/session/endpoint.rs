@@ -1,6 +1,8 @@
 //! Parses the endpoint of a router as people write it, and determines the default.
 use std::net::IpAddr;
 
+use super::router::CLOSED;
+
 /// The environment variable that names the router, for programs that do not set one.
 pub const ROUTER_VARIABLE: &str = "RECT_ENDPOINT";
 
@@ -61,6 +63,7 @@ pub fn advice(endpoint: &str, reason: &str, router: &str) -> String {
     let other =
         "select another one with the option `router` or the environment variable RECT_ENDPOINT";
     match protocol {
+        _ if reason == CLOSED => "Close programs that use the same login; the log of the router names the user".to_owned(),
         "unixsock-stream" => format!(
             "A router listens on this socket file if its configuration names it, and programs in its group may use it. \
              Check the path, or {other}"
@@ -160,6 +163,11 @@ mod tests {
                 "any/wombat-2",
                 "not found",
                 "Is the robot wombat-2 switched on",
+            ),
+            (
+                "tcp/127.0.0.1:7447",
+                CLOSED,
+                "Close programs that use the same login",
             ),
             (
                 "pigeon/home",

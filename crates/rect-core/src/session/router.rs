@@ -15,6 +15,10 @@ use crate::{
 /// unless its access control forbids the question.
 pub const ROBOT_TIMEOUT: Duration = Duration::from_secs(1);
 
+/// Why there is no session although one was opened: Zenoh's routers can close a session only after they have opened it.
+pub const CLOSED: &str = "it has closed the session at once: the login probably has all sessions that one login may have \
+    (plugins/rect/sessions/per_user in its configuration)";
+
 /// The minimum duration of an attempt, even at the end of the timeout, so that a timeout of 0 suffices to join a router
 /// that is running.
 const SHORTEST_ATTEMPT: Duration = Duration::from_millis(100);

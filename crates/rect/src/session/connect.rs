@@ -84,6 +84,23 @@ fn reason(mut config: Config) -> Option<zenoh::Error> {
     }
 }
 
+/// How often it is examined whether the router closes the session, and the pause before that.
+const LOOKS: usize = 3;
+const PAUSE: Duration = Duration::from_millis(30);
+
+/// Returns whether the router, which has not named its robot, has closed the session.
+pub(super) async fn is_closed(session: &Session) -> bool {
+    let info = session.info();
+    for _ in 0..LOOKS {
+        tokio::time::sleep(PAUSE).await;
+        let is_open = info.routers_zid().await.next().is_some();
+        if !is_open && info.peers_zid().await.next().is_none() {
+            return true;
+        }
+    }
+    false
+}
+
 /// Returns the keys of the liveliness tokens that name the robot of the session's router. The list is empty if the router
 /// serves no robot or does not reply in time. The router replies itself, so the query is not sent over radio links.
 pub(super) async fn tokens_of_router(session: &Session) -> Vec<String> {

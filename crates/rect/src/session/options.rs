@@ -11,7 +11,7 @@ use rect_core::{
     session::{
         endpoint,
         login::{self, Login},
-        router::{JoinAttempts, JoinError},
+        router::{JoinAttempts, JoinError, CLOSED},
         settings::SessionLinks,
     },
 };
@@ -233,6 +233,13 @@ impl Options {
         let (session, config) = self.join().await?;
         if !self.allows_name_mismatch {
             let tokens = connect::tokens_of_router(&session).await;
+            if tokens.is_empty() && connect::is_closed(&session).await {
+                return Err(Error::NoRouter {
+                    endpoint: self.router.clone(),
+                    reason: CLOSED.to_owned(),
+                    source: None,
+                });
+            }
             if let Err(wrong) = self.place.check_router(&self.router, tokens) {
                 if let Err(error) = session.close().await {
                     tracing::debug!("cannot close the session: {error}");
