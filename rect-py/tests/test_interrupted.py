@@ -14,7 +14,7 @@ import rect
 from conftest import free_port
 
 ROOT = Path(__file__).parents[2]
-#: What a program that runs until Ctrl-C contains.
+#: A part of a program that runs until Ctrl-C.
 ENDLESS = re.compile(r"Event\(\)\.wait\(\)|2\*\*62|while True|for \w+ in robot\.(subscribe|watch|events)\(")
 PAGES = [*sorted((ROOT / "docs").rglob("*.md")), ROOT / "README.md", ROOT / "rect-py" / "README.md"]
 

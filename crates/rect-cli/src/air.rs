@@ -215,7 +215,7 @@ async fn control(socket: SocketArgument, command: Control) -> Result<(), AirErro
     Ok(())
 }
 
-/// Says what has been changed. It is changed even if nobody reads that.
+/// Prints what has been changed. It is changed even if nobody reads that.
 fn done(what: &str) {
     let _ = rect_terminal::try_write(format_args!("{}", line(what)));
 }

@@ -104,9 +104,10 @@ pub async fn peers(arguments: PeersArguments) -> Done {
         let is_silent = !links.is_empty() && links.iter().all(|link| link.silent_s.is_some());
         let silent = links.iter().filter_map(|link| link.silent_s);
         let silent = silent.reduce(f64::min).filter(|_| is_silent);
-        let silent = silent.map_or_else(|| "".into(), |silent| {
-            Cell::styled(Style::Wrong, duration_of_s(silent))
-        });
+        let silent = silent.map_or_else(
+            || "".into(),
+            |silent| Cell::styled(Style::Wrong, duration_of_s(silent)),
+        );
         table.row(vec![
             peer.as_str().into(),
             methods.into(),

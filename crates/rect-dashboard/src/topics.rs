@@ -19,7 +19,7 @@ pub const QUERY_TIMEOUT: Duration = Duration::from_secs(5);
 pub struct Answers {
     /// The topics of each robot, in the order of their names.
     pub topics: Vec<(String, Topics)>,
-    /// What is wrong with the other replies: a router refused the query, or its reply cannot be read.
+    /// Problems of the other replies: a router refused the query, or its reply cannot be read.
     pub problems: Vec<String>,
 }
 

@@ -128,7 +128,7 @@ fn is_listening(endpoint: &str) -> bool {
 pub(super) struct Answers {
     /// The document of each robot, sorted by its name.
     pub documents: Vec<(String, Value)>,
-    /// What is wrong with the other replies: a registry refused the query, or its reply is not JSON.
+    /// Problems of the other replies: a registry refused the query, or its reply is not JSON.
     pub problems: Vec<String>,
 }
 

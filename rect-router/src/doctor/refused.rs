@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use super::{peer, Finding};
 
-/// What the texts of both sides say if a robot has another secret.
+/// A part of the reasons of both sides if a robot has another secret.
 const OTHER_SECRET: &str = "same secret";
 
 /// Returns a finding for each discovered robot that was refused a link. `connections` is the answer of a registry.

@@ -1,5 +1,5 @@
 //! Publishes all connections, under the key that answers for them, whenever a connection is added, removed or changes its
-//! state or peer, falls silent, or is heard again. Changes of signal strength and traffic are not published; queries return them.
+//! state or peer, falls silent, or receives again. Changes of signal strength and traffic are not published; queries return them.
 use std::{
     collections::BTreeSet,
     sync::mpsc::{Receiver, RecvTimeoutError},

@@ -12,7 +12,7 @@ use crate::connections::LinkEnds;
 /// How long nothing arrives until a link counts as silent: the time between two messages of Zenoh, and a second for a slow radio.
 const SILENT_AFTER: Duration = Duration::from_millis(3500);
 
-/// What was received over each link at the last look, and since when it is the same.
+/// The bytes received over each link at the last look, and since when they are the same.
 #[derive(Default)]
 pub struct Silence(Mutex<HashMap<LinkEnds, (u64, Instant)>>);
 

@@ -608,7 +608,10 @@ mod tests {
         assert!(kinds(Some(4.6)).is_empty());
         assert_eq!(kinds(None), ["resumed"]);
         assert_eq!(kinds(Some(3.5)), ["silent"]);
-        assert!(matches!(&links.on_connections(&[])[..], [Event::LinkDown(_)]));
+        assert!(matches!(
+            &links.on_connections(&[])[..],
+            [Event::LinkDown(_)]
+        ));
     }
 
     #[test]
@@ -628,7 +631,10 @@ mod tests {
         assert_eq!(delay(&[control.clone()]), None);
         assert_eq!(delay(&[control.clone(), lane("Data", Some(20.0))]), None);
         let urgent = lane("InteractiveHigh", Some(12.0));
-        assert_eq!(delay(&[control, lane("RealTime", None), urgent]), Some(12.0));
+        assert_eq!(
+            delay(&[control, lane("RealTime", None), urgent]),
+            Some(12.0)
+        );
     }
 
     #[test]
