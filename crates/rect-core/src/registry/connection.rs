@@ -628,7 +628,7 @@ mod tests {
             link.urgent_delay_ms()
         };
         let control = lane("Control", Some(900.0));
-        assert_eq!(delay(&[control.clone()]), None);
+        assert_eq!(delay(std::slice::from_ref(&control)), None);
         assert_eq!(delay(&[control.clone(), lane("Data", Some(20.0))]), None);
         let urgent = lane("InteractiveHigh", Some(12.0));
         assert_eq!(
