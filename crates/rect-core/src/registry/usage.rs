@@ -195,7 +195,7 @@ impl LinkUsage {
     pub fn name(&self) -> String {
         let link = display::line(&self.link);
         match &self.path {
-            Some(path) => format!("{link} over {}", display::line(path)),
+            Some(path) => format!("{link} ({})", display::line(path)),
             None => link.into_owned(),
         }
     }
@@ -297,6 +297,12 @@ mod tests {
             usage(None, &[]).in_words("wombat-1"),
             "ble/laptop: nothing was sent"
         );
+        let path = Some("ble".to_owned());
+        let of_two = LinkUsage {
+            path,
+            ..usage(None, &[])
+        };
+        assert_eq!(of_two.name(), "ble/laptop (ble)");
     }
 
     #[test]
