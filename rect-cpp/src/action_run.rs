@@ -541,7 +541,7 @@ pub extern "C" fn rect_action_run_cancel(
 /// be reached does not end the wait. A result of more than 48 kB is received from the program that has carried out the goal, which has to
 /// run until then.
 ///
-/// Returns `RECT_CODE_GOAL` if the goal was not reached, or its result is gone: the text states the end and the reason, and
+/// Returns `RECT_CODE_GOAL` if the goal was not reached, or its result is lost: the text states the end and the reason, and
 /// `rect_action_run_status` has both; `RECT_CODE_TIMED_OUT` if it has not ended within `timeout_ms` (`RECT_FOREVER` waits without a limit):
 /// the text states its phase, and for how long it has been in it, or how much of the result has arrived; and `RECT_CODE_CLOSED` if the
 /// session was closed or another thread dropped the handle. May be called on any thread.

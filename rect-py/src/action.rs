@@ -204,7 +204,7 @@ impl ActionServer {
                 let urgency = if is_urgent { "urgent" } else { "normal" };
                 ("state", id, parts(py, &payload), urgency).into_pyobject(py)
             }
-            Publication::Keep { result, bytes } => {
+            Publication::Serve { result, bytes } => {
                 ("keep", ResultToKeep(result, bytes)).into_pyobject(py)
             }
             Publication::Feedback { id, payload } => {

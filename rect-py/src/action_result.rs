@@ -72,7 +72,7 @@ impl ResultPull {
         lock(&self.core).stop();
     }
 
-    /// What is waited for, for the text of a timeout.
+    /// The description of the result, for the text of a timeout.
     #[getter]
     fn expected(&self) -> String {
         lock(&self.core).expected()

@@ -9,6 +9,7 @@ import asyncio
 import json
 import random
 import re
+from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
 
@@ -18,7 +19,6 @@ import rect.aio
 from conftest import DEADLINE, Pair, until
 from programs import Routers, initialised_routers
 from test_actions import Robots, end_of, line, process, start
-from test_actions import robots as robots
 
 #: Random bytes, which no link can compress.
 MEGABYTE = random.Random(1).randbytes(1 << 20)
@@ -31,6 +31,13 @@ with rect.connect("wombat-2", router=sys.argv[1], program="mapper") as robot:
     print("ready", flush=True)
     threading.Event().wait()
 """
+
+
+@pytest.fixture
+def robots(routers: Routers) -> Iterator[Robots]:
+    robots = Robots(routers)
+    with robots.client, robots.server:
+        yield robots
 
 
 def received_kb(run: rect.ActionRun[bytes], timeout: float) -> int:
@@ -61,19 +68,19 @@ def test_megabyte_arrives_although_the_link_is_cut(robots: Robots) -> None:
         assert (known.phase, known.result) == ("done", None)
 
 
-def test_result_is_gone_when_its_program_has_ended(robots: Robots) -> None:
+def test_result_is_lost_when_its_program_has_ended(robots: Robots) -> None:
     with process(_SERVER, robots.routers.endpoints["wombat-2"]) as server:
         assert line(server) == "ready"
-        run = robots.start("map", id="gone")
+        run = robots.start("map", id="lost")
         until(lambda: run.has_ended)
         server.kill()
         server.wait()
-        for one in (run, robots.client.find("wombat-2", "map", "gone")):
+        for one in (run, robots.client.find("wombat-2", "map", "lost")):
             with pytest.raises(rect.ActionError) as ended:
                 one.result(DEADLINE)
             assert ended.value.phase == one.phase == "done"
             assert str(ended.value) == (
-                "the goal is done, but its result of 1048 kB is gone: the program that carried it out has ended"
+                "the goal is done, but its result of 1048 kB is lost: the program that carried it out has ended"
             )
 
 

@@ -294,7 +294,7 @@ public:
     /// JSON or bytes, which is `null` as JSON if there is none. A robot that cannot be reached does not
     /// end the wait. A result of more than 48 kB is received from the program that has carried out the goal, which has to run until then.
     ///
-    /// Fails with Code::goal if the goal was not reached, or its result is gone: the text states the end and the reason, and `status` has
+    /// Fails with Code::goal if the goal was not reached, or its result is lost: the text states the end and the reason, and `status` has
     /// both; with Code::timed_out if it has not ended within `timeout`: the text states its phase, and for how long it has been in it, or how
     /// much of the result has arrived; with Code::payload if the result does not fit; and with Code::closed if the session was closed or
     /// another thread dropped this object.

@@ -58,7 +58,7 @@ class ResultPull:
 
     @property
     def expected(self) -> str:
-        """What is waited for, for the text of a timeout."""
+        """The description of the result, for the text of a timeout."""
         return self._core.expected
 
     @property

@@ -165,7 +165,7 @@ impl ResultPull {
             _ => "the robot does not know it any more",
         };
         (self.gone, self.alive) = (self.gone + 1, 0);
-        (self.gone >= GONE_AFTER).then(|| format!("its result of {size} is gone: {why}"))
+        (self.gone >= GONE_AFTER).then(|| format!("its result of {size} is lost: {why}"))
     }
 
     fn content(&mut self) -> Result<Payload, PullError> {
@@ -183,7 +183,7 @@ impl ResultPull {
     fn failed(&self, fault: &Fault) -> PullError {
         let size = humanize::bytes(self.result.size_bytes);
         PullError::Unavailable(match fault {
-            Fault::Unreadable(reason) => format!("its result of {size} is gone: {reason}"),
+            Fault::Unreadable(reason) => format!("its result of {size} is lost: {reason}"),
             fault => format!("its result of {size} has not arrived: {fault}"),
         })
     }

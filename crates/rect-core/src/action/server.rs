@@ -113,8 +113,8 @@ pub enum Work {
 /// A message that an executor publishes.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Publication {
-    /// Keep the bytes of a large result ([`Results::keep`](super::results::Results::keep)).
-    Keep {
+    /// Serve the bytes of a large result ([`Results::keep`](super::results::Results::keep)).
+    Serve {
         /// Its description.
         result: LargeResult,
         /// The bytes.
@@ -470,7 +470,7 @@ impl ActionServer {
                     {
                         let result = result.clone();
                         self.unpublished.push_front(id);
-                        return Publication::Keep { result, bytes };
+                        return Publication::Serve { result, bytes };
                     }
                     if goal.has_ended() {
                         goal.forget_at = Some(now + KEPT_FOR);

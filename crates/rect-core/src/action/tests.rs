@@ -355,7 +355,7 @@ impl World {
     fn publish(&mut self) {
         while let Some(program) = &mut self.program {
             match program.server.publication(self.now) {
-                Publication::Keep { .. } => unreachable!("no result is large"),
+                Publication::Serve { .. } => unreachable!("no result is large"),
                 Publication::Wait(_) => break,
                 Publication::Feedback { payload, .. } => {
                     assert!(Feedback::read(&payload).is_ok());

@@ -242,7 +242,7 @@ fn a_large_result_arrives_although_the_link_is_cut_for_a_minute() {
     world.is_linked = true;
     let received = world.run_to_end().expect("the result");
     assert_eq!(received, Payload::new(bytes, Encoding::BYTES));
-    // What had arrived was not sent again.
+    // Bytes that had arrived were not sent again.
     assert!(
         world.sent_bytes < (1 << 20) + 100_000,
         "{}",
@@ -251,7 +251,7 @@ fn a_large_result_arrives_although_the_link_is_cut_for_a_minute() {
 }
 
 #[test]
-fn a_result_whose_program_has_ended_is_gone_and_a_cut_says_nothing_about_that() {
+fn a_result_whose_program_has_ended_is_lost_and_a_cut_says_nothing_about_that() {
     let (described, bytes) = result(1 << 20);
     let mut world = World::new(&described, bytes);
     world.run(secs(5));
@@ -262,7 +262,7 @@ fn a_result_whose_program_has_ended_is_gone_and_a_cut_says_nothing_about_that() 
     let before = world.now;
     assert_eq!(
         reason(world.run_to_end()),
-        "its result of 1048 kB is gone: the program that carried it out has ended"
+        "its result of 1048 kB is lost: the program that carried it out has ended"
     );
     assert!(world.now - before < secs(10), "{:?}", world.now - before);
 }

@@ -371,7 +371,7 @@ impl ActionRun {
     }
 
     /// Returns how much of a result of more than 48 kB has arrived, since [`end`](Self::end) or [`result`](Self::result) has asked for it and
-    /// until it is there.
+    /// until all of it has.
     pub fn result_progress(&self) -> Option<Progress> {
         self.followed.pulled.progress()
     }
@@ -422,7 +422,7 @@ impl ActionRun {
     /// out the goal, which has to run until then.
     ///
     /// # Errors
-    /// [`Error::Goal`] if the goal was not reached, or its result is gone, [`Error::Payload`] if the result does not fit `T`, and
+    /// [`Error::Goal`] if the goal was not reached, or its result is lost, [`Error::Payload`] if the result does not fit `T`, and
     /// [`Error::Closed`] if the session is closed.
     ///
     /// # Cancel safety

@@ -372,7 +372,7 @@ impl Shared {
                     drop(server);
                     self.work.notify_one();
                 }
-                Publication::Keep { result, bytes } => {
+                Publication::Serve { result, bytes } => {
                     if let Err(error) = self.robot.keep_result(&result, bytes) {
                         warn(&format!("a result cannot be kept: {error}"));
                     }
