@@ -352,9 +352,7 @@ impl ActionRun {
                 clock,
             })),
             Err(PullError::Closed) => Ok(None),
-            Err(PullError::Unavailable(reason)) => {
-                Err(raised(py, "ActionError", ("done", reason)))
-            }
+            Err(PullError::Unavailable(reason)) => Err(raised(py, "ActionError", ("done", reason))),
         }
     }
 
