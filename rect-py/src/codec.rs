@@ -154,9 +154,7 @@ impl Dictionary {
     }
 
     /// Returns how `pickle` and `copy` make the same dictionary.
-    fn __reduce__<'py>(
-        this: &Bound<'py, Self>,
-    ) -> (Bound<'py, PyAny>, (Bound<'py, PyBytes>,)) {
+    fn __reduce__<'py>(this: &Bound<'py, Self>) -> (Bound<'py, PyAny>, (Bound<'py, PyBytes>,)) {
         let bytes = this.get().__bytes__(this.py());
         (this.get_type().into_any(), (bytes,))
     }

@@ -233,7 +233,9 @@ impl RecordingReader {
     /// Opens a file, or the folder of a recording that runs or was interrupted. Without patterns, all messages are read.
     #[new]
     fn new(path: PathBuf, patterns: Vec<String>) -> PyResult<Self> {
-        let patterns = patterns.iter().map(|pattern| pattern.parse::<EntryPattern>());
+        let patterns = patterns
+            .iter()
+            .map(|pattern| pattern.parse::<EntryPattern>());
         let patterns = patterns.collect::<Result<_, _>>().or_raise()?;
         let selection = Selection {
             patterns,

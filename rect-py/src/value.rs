@@ -195,11 +195,7 @@ fn read_integer<'py>(
     })
 }
 
-fn read_map<'py>(
-    map: &Bound<'py, PyDict>,
-    form: Form,
-    path: &mut Path<'py>,
-) -> PyResult<Value> {
+fn read_map<'py>(map: &Bound<'py, PyDict>, form: Form, path: &mut Path<'py>) -> PyResult<Value> {
     let mut all = Vec::with_capacity(map.len());
     let mut is_text = true;
     for (key, item) in map.iter() {
@@ -214,9 +210,8 @@ fn read_map<'py>(
         let mut seen = HashSet::new();
         let names = all.iter().map(|(name, _)| name.as_key());
         if let Some(twice) = names.into_iter().find(|name| !seen.insert(name.clone())) {
-            let reason = format!(
-                "has the key {twice} twice, as text and as another type: use rect.Cbor"
-            );
+            let reason =
+                format!("has the key {twice} twice, as text and as another type: use rect.Cbor");
             return Err(path.error(map.py(), form, reason));
         }
     }
@@ -335,11 +330,7 @@ fn read_by_dtype<'py>(
 }
 
 /// Converts the text of a time, according to ISO 8601.
-fn read_time<'py>(
-    text: &Bound<'py, PyAny>,
-    form: Form,
-    path: &mut Path<'py>,
-) -> PyResult<Value> {
+fn read_time<'py>(text: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) -> PyResult<Value> {
     match read(text, form, path)? {
         Value::Text(time) if time == "NaT" => {
             Err(path.error(text.py(), form, "is NaT, which is no time: send None"))
@@ -466,7 +457,10 @@ impl Value {
 
     /// Returns whether a number of this value may be an integer of more than 64 bits, of which digits are lost.
     fn is_rounded(&self, json: &[u8]) -> bool {
-        self.has_large() && json.windows(DIGITS).any(|run| run.iter().all(u8::is_ascii_digit))
+        self.has_large()
+            && json
+                .windows(DIGITS)
+                .any(|run| run.iter().all(u8::is_ascii_digit))
     }
 
     fn has_large(&self) -> bool {

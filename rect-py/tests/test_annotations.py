@@ -1,6 +1,6 @@
 """All annotations of the public objects can be evaluated, as frameworks do with `typing.get_type_hints`.
 
-    pytest rect-py/tests/test_annotations.py
+pytest rect-py/tests/test_annotations.py
 """
 
 from __future__ import annotations

@@ -76,7 +76,11 @@ def test_video_arrives_as_pictures(pair: Pair) -> None:
 
 def test_an_array_that_is_no_picture_is_refused_in_a_video(pair: Pair) -> None:
     with pair[0].stream("camera", mode="video") as camera:
-        for frame in (numpy.zeros((240, 320, 3)), numpy.zeros((240, 320, 2), numpy.uint8), PIL.Image.new("I;16", (9, 9))):
+        for frame in (
+            numpy.zeros((240, 320, 3)),
+            numpy.zeros((240, 320, 2), numpy.uint8),
+            PIL.Image.new("I;16", (9, 9)),
+        ):
             with pytest.raises(rect.PayloadError, match="picture"):
                 camera.send(frame)
 

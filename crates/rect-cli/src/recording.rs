@@ -289,7 +289,8 @@ fn export(
     };
     match output {
         Some(path) => {
-            let file = regular_file::create_new(path).map_err(|error| cannot_write(path, &error))?;
+            let file =
+                regular_file::create_new(path).map_err(|error| cannot_write(path, &error))?;
             exported(entries, format, BufWriter::new(file))
         }
         None => match exported(entries, format, io::stdout().lock()) {

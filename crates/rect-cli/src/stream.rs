@@ -8,7 +8,8 @@ use std::{
 
 use clap::{Args, Subcommand};
 use rect::{
-    Encoding, EncodingKind, Frame, Payload, QueueOptions, RobotTopic, StreamOptions, Topic, Watcher, WhenFull,
+    Encoding, EncodingKind, Frame, Payload, QueueOptions, RobotTopic, StreamOptions, Topic,
+    Watcher, WhenFull,
 };
 use rect_core::codec::{jpeg::Jpeg, picture::Picture, Codec, Limits};
 use rect_recording::video_file::VideoFile;

@@ -154,7 +154,10 @@ mod tests {
         let bomb = bomb.finish().expect("compressed");
         assert!(matches!(
             chunk(LZ4, &bomb, 999),
-            Err(McapError::BadChunkLength { available: 1000, .. })
+            Err(McapError::BadChunkLength {
+                available: 1000,
+                ..
+            })
         ));
         assert!(matches!(
             chunk("bz2", b"x", 1),

@@ -20,7 +20,9 @@ impl EntryPattern {
         let topic = topic.trim_start_matches('/');
         match self {
             Self::Robot(pattern) => pattern.matches(topic),
-            Self::Whole(pattern) => keyexpr::new(topic).is_ok_and(|topic| pattern.intersects(topic)),
+            Self::Whole(pattern) => {
+                keyexpr::new(topic).is_ok_and(|topic| pattern.intersects(topic))
+            }
         }
     }
 }

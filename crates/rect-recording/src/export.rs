@@ -46,7 +46,9 @@ impl<W: Write> Exporter<W> {
     /// Fails if the output does.
     pub fn add(&mut self, entry: &Entry) -> io::Result<()> {
         match self.format {
-            Format::JsonLines => writeln!(self.to, "{}", display::json(&as_json(entry).to_string())),
+            Format::JsonLines => {
+                writeln!(self.to, "{}", display::json(&as_json(entry).to_string()))
+            }
             Format::Csv => self.add_rows(entry, "", &value(entry), MAX_DEPTH),
         }
     }
@@ -127,7 +129,9 @@ fn cell(text: &str) -> String {
     let is_formula = text.parse::<f64>().is_err()
         && (text.starts_with(['\t', '\r', '\n'])
             || text.trim_start().starts_with(FORMULA)
-            || text.trim_start_matches(display::is_harmful).starts_with(FORMULA));
+            || text
+                .trim_start_matches(display::is_harmful)
+                .starts_with(FORMULA));
     let shown = |c| match c {
         '\n' | '\t' => c,
         c if display::is_harmful(c) => char::REPLACEMENT_CHARACTER,

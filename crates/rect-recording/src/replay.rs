@@ -28,7 +28,11 @@ pub struct Selection {
 impl Selection {
     /// Returns whether a message is among those that the patterns select.
     pub fn matches(&self, entry: &Entry) -> bool {
-        self.patterns.is_empty() || self.patterns.iter().any(|pattern| pattern.matches(&entry.topic))
+        self.patterns.is_empty()
+            || self
+                .patterns
+                .iter()
+                .any(|pattern| pattern.matches(&entry.topic))
     }
 }
 
@@ -354,11 +358,25 @@ mod tests {
 
     #[test]
     fn topics_of_other_programs_stay_apart_under_one_robot() {
-        let recorded = [entry("/left/image", 0), entry("/right/image", 10), entry("/odom", 20)];
+        let recorded = [
+            entry("/left/image", 0),
+            entry("/right/image", 10),
+            entry("/odom", 20),
+        ];
         let robot = Some(Name::new("replay").expect("a name"));
-        let mut replay = Replay::new(recorded.into_iter(), Selection::default(), Vec::new(), robot);
-        let topics = replay.by_ref().map(|due| due.expect("no error").topic.to_string());
-        assert_eq!(topics.collect::<Vec<_>>(), ["left/image", "right/image", "odom"]);
+        let mut replay = Replay::new(
+            recorded.into_iter(),
+            Selection::default(),
+            Vec::new(),
+            robot,
+        );
+        let topics = replay
+            .by_ref()
+            .map(|due| due.expect("no error").topic.to_string());
+        assert_eq!(
+            topics.collect::<Vec<_>>(),
+            ["left/image", "right/image", "odom"]
+        );
         let alone = [entry("/odom", 0), entry("odom", 1), entry("/odom", 2)];
         let mut replay = Replay::new(alone.into_iter(), Selection::default(), Vec::new(), None);
         assert_eq!(replay.by_ref().count(), 0);

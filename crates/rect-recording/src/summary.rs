@@ -99,8 +99,13 @@ impl Summary {
             topic.encoding = entry.payload.encoding.as_str().to_owned();
         }
         // A reader has one description of each channel.
-        let channel = entry.foreign.as_ref().map(|foreign| Arc::as_ptr(foreign).addr());
-        let last = topic.last.insert((entry.publisher, channel), entry.sequence);
+        let channel = entry
+            .foreign
+            .as_ref()
+            .map(|foreign| Arc::as_ptr(foreign).addr());
+        let last = topic
+            .last
+            .insert((entry.publisher, channel), entry.sequence);
         // Two recordings that were merged may have the same messages.
         let after = last.and_then(|last| entry.sequence.checked_sub(last));
         topic.missed += u64::from(after.unwrap_or(1).saturating_sub(1));

@@ -3,7 +3,10 @@
 use bytes::Bytes;
 use rect_core::{
     codec::Limits,
-    message::{encoding::{Encoding, EncodingKind}, payload::Payload},
+    message::{
+        encoding::{Encoding, EncodingKind},
+        payload::Payload,
+    },
 };
 use serde::de::IgnoredAny;
 use serde_json::{json, Map, Value};
@@ -116,9 +119,7 @@ pub fn restored(encoding: &Encoding, text: &[u8]) -> Payload {
         return Payload::new(Bytes::copy_from_slice(text), encoding.clone());
     };
     match payload.value::<String>() {
-        Ok(text) if encoding.kind() == EncodingKind::Text => {
-            Payload::new(text, encoding.clone())
-        }
+        Ok(text) if encoding.kind() == EncodingKind::Text => Payload::new(text, encoding.clone()),
         _ => payload,
     }
 }

@@ -231,6 +231,7 @@ class RecordingReader:
 
 @final
 class MessageMetadata:
+    def __new__(cls, fields: tuple[Any, ...]) -> MessageMetadata: ...
     @property
     def sender(self) -> str: ...
     @property

@@ -21,7 +21,6 @@ from typing import Any, Generic, TypeVar, overload
 
 import zenoh as stock
 
-from rect.annotations import complete as _complete_annotations
 from rect import _rect, action_run
 from rect import robot as blocking
 from rect.action import ActionExecutor
@@ -29,6 +28,7 @@ from rect.action_run import Feedback, Following, KnownGoal, Types
 from rect.aio_action import Action, AsyncRun, Goal
 from rect.aio_safety import Deadman, FleetStop
 from rect.alert import Alert
+from rect.annotations import complete as _complete_annotations
 from rect.choices import Level, Urgency, WhenBusy, WhenFull
 from rect.deadline import Deadline
 from rect.deadman import DeadmanExecutor

@@ -14,7 +14,7 @@ from typing import Any
 
 
 class _Lazy:
-    """A module that is imported when an annotation that names it is evaluated. Without it, the types are these objects."""
+    """A module that is imported when an annotation names it. Without it, these objects stand for its types."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -77,9 +77,11 @@ def _replace_unions(module: types.ModuleType) -> None:
             continue
         for member in [value, *(vars(value).values() if isinstance(value, type) else ())]:
             whole = getattr(member, "fget", None) or getattr(member, "__func__", member)
-            hints = vars(whole).get("__annotations__") if isinstance(whole, type) else None
-            if isinstance(whole, types.FunctionType):
+            hints: dict[str, Any] = {}
+            if isinstance(whole, type):
+                hints = vars(whole).get("__annotations__", {})
+            elif isinstance(whole, types.FunctionType):
                 hints = whole.__annotations__
-            for name, hint in (hints or {}).items():
+            for name, hint in hints.items():
                 if isinstance(hint, str) and "|" in hint:
                     hints[name] = ast.unparse(_Unions().visit(ast.parse(hint, mode="eval")))

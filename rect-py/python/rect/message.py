@@ -13,6 +13,7 @@ from rect.errors import PayloadError
 from rect.typed import Converter, T
 from rect.values import Payload, by_slots
 
+
 class _Unread:
     """In place of a value that nobody has asked for. A class, because `pickle` and `copy` keep its identity."""
 

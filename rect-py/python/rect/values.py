@@ -197,7 +197,7 @@ def by_slots(value: Any) -> tuple[Any, ...]:
 
 def _restored(cls: type[Any], fields: dict[str, Any]) -> Any:
     """Returns the object that `by_slots` has described."""
-    made = cls.__new__(cls)
+    made = object.__new__(cls)
     for name, value in fields.items():
         object.__setattr__(made, name, value)
     return made

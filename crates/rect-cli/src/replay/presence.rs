@@ -6,9 +6,7 @@ use std::{
 
 use rect::{Payload, Robot};
 use rect_core::registry::topics::{Counter, TOPIC, TOPICS};
-use zenoh::{
-    bytes::Encoding, liveliness::LivelinessToken, query::Query, Wait,
-};
+use zenoh::{bytes::Encoding, liveliness::LivelinessToken, query::Query, Wait};
 
 /// A robot that is shown, until this is dropped.
 pub struct Presence {

@@ -168,7 +168,12 @@ impl Dictionary {
         let path = path.as_ref();
         let is_new = !path.exists();
         let mut options = std::fs::OpenOptions::new();
-        let opened = options.write(true).create(true).truncate(true).mode(MODE).open(path);
+        let opened = options
+            .write(true)
+            .create(true)
+            .truncate(true)
+            .mode(MODE)
+            .open(path);
         let written = opened.and_then(|mut file| {
             // Whatever the umask of the program is.
             if is_new {

@@ -106,8 +106,12 @@ mod tests {
     fn permissions_of_new_files_do_not_depend_on_the_umask() {
         let parent = tempfile::tempdir().expect("a folder");
         let mode = |path: &Path| fs::metadata(path).expect("exists").permissions().mode() & 0o777;
-        for (n, mask) in [Mode::empty(), Mode::S_IRWXG | Mode::S_IRWXO].into_iter().enumerate() {
-            let [file, folder] = ["file", "folder"].map(|name| parent.path().join(format!("{name}-{n}")));
+        for (n, mask) in [Mode::empty(), Mode::S_IRWXG | Mode::S_IRWXO]
+            .into_iter()
+            .enumerate()
+        {
+            let [file, folder] =
+                ["file", "folder"].map(|name| parent.path().join(format!("{name}-{n}")));
             let before = umask(mask);
             let created = create_new(&file).and_then(|_| create_folder(&folder));
             umask(before);

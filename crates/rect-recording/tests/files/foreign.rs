@@ -144,10 +144,19 @@ fn with_lz4(file: &[u8]) -> Vec<u8> {
         let content = &found[9..];
         let mut encoder = lz4_flex::frame::FrameEncoder::new(Vec::new());
         // Behind the empty name of the compression and the size.
-        encoder.write_all(&content[FIXED + 12..]).expect("compressed");
+        encoder
+            .write_all(&content[FIXED + 12..])
+            .expect("compressed");
         let records = encoder.finish().expect("compressed");
         let size = (records.len() as u64).to_le_bytes();
-        let chunk = [&content[..FIXED], &3_u32.to_le_bytes(), b"lz4", &size, &records].concat();
+        let chunk = [
+            &content[..FIXED],
+            &3_u32.to_le_bytes(),
+            b"lz4",
+            &size,
+            &records,
+        ]
+        .concat();
         written.push(CHUNK);
         written.extend_from_slice(&(chunk.len() as u64).to_le_bytes());
         written.extend_from_slice(&chunk);
@@ -159,7 +168,9 @@ fn with_lz4(file: &[u8]) -> Vec<u8> {
 fn lz4_is_read() {
     let folder = tempfile::tempdir().expect("a folder");
     let path = folder.path().join("lz4.mcap");
-    let options = WriteOptions::new().compression(None).emit_summary_records(false);
+    let options = WriteOptions::new()
+        .compression(None)
+        .emit_summary_records(false);
     ros_file(&path, options.emit_message_indexes(false), &mixed());
     let compressed = with_lz4(&fs::read(&path).expect("readable"));
     fs::write(&path, compressed).expect("written");
@@ -185,7 +196,9 @@ fn large_chunks_and_attachments_are_read() {
         data: vec![7; 65 * MB].into(),
     };
     writer.attach(&attachment).expect("written");
-    let channel = writer.add_channel(0, "/cloud", "cdr", &BTreeMap::new()).expect("written");
+    let channel = writer
+        .add_channel(0, "/cloud", "cdr", &BTreeMap::new())
+        .expect("written");
     for sequence in 0..17 {
         let header = MessageHeader {
             channel_id: channel,
@@ -194,7 +207,9 @@ fn large_chunks_and_attachments_are_read() {
             publish_time: 0,
         };
         let data = vec![0; 4 * MB];
-        writer.write_to_known_channel(&header, &data).expect("written");
+        writer
+            .write_to_known_channel(&header, &data)
+            .expect("written");
     }
     writer.finish().expect("finished");
     let (entries, error) = read(&path);
@@ -212,7 +227,8 @@ fn sequence_numbers_count_per_channel() {
     let path = folder.path().join("two.mcap");
     let file = BufWriter::new(File::create(&path).expect("created"));
     let mut writer = WriteOptions::new().create(file).expect("begun");
-    let channels = ["one", "two"].map(|node| writer.add_channel(0, "/tf", "cdr", &map("node", node)));
+    let channels =
+        ["one", "two"].map(|node| writer.add_channel(0, "/tf", "cdr", &map("node", node)));
     let channels = channels.map(|channel| channel.expect("written"));
     for n in 0..10 {
         for (channel_id, first) in channels.into_iter().zip([0, 1000]) {
@@ -222,7 +238,9 @@ fn sequence_numbers_count_per_channel() {
                 log_time: u64::from(n),
                 publish_time: 0,
             };
-            writer.write_to_known_channel(&header, b"x").expect("written");
+            writer
+                .write_to_known_channel(&header, b"x")
+                .expect("written");
         }
     }
     writer.finish().expect("finished");
