@@ -531,6 +531,10 @@ fn eight_simulated_robots_start_at_the_same_time() {
         .map_while(Result::ok)
         .take_while(|line| !line.contains("Ctrl-C"))
         .collect();
+    // It ends its routers; one that is killed would leave them.
+    let id = nix::unistd::Pid::from_raw(i32::try_from(sim.0.id()).expect("an id"));
+    let _ = nix::sys::signal::kill(id, nix::sys::signal::Signal::SIGINT);
+    sim.0.wait().expect("our child");
     let robots = shown.iter().filter(|line| line.starts_with("wombat-"));
     assert_eq!(robots.count(), 8, "{shown:#?}");
 }
