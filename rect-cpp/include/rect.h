@@ -168,7 +168,7 @@ typedef enum rect_log_item_kind {
     RECT_LOG_ITEM_KIND_MISSED = 2,
 } rect_log_item_kind;
 
-// What the bytes of a payload are. Its encoding is compared like any media type, without case and without parameters.
+// The kind of a payload, according to its encoding, which is compared like any media type, without case and without parameters.
 typedef enum rect_encoding_kind {
     // Anything else, also text in another character set than UTF-8.
     RECT_ENCODING_KIND_OTHER = 0,

@@ -34,7 +34,7 @@ pub struct PayloadView {
     pub encoding: Text,
 }
 
-/// What the bytes of a payload are. Its encoding is compared like any media type, without case and without parameters.
+/// The kind of a payload, according to its encoding, which is compared like any media type, without case and without parameters.
 #[repr(C)]
 pub enum EncodingKind {
     /// Anything else, also text in another character set than UTF-8.

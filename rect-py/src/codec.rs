@@ -28,7 +28,7 @@ pub type Parts<'py> = (Bound<'py, PyBytes>, String);
 #[pyclass(frozen, module = "rect._rect")]
 pub struct Codec(Arc<dyn codec::Codec>, Option<Py<Dictionary>>);
 
-/// What a codec is created from.
+/// The description from which a codec is created.
 #[derive(FromPyObject)]
 enum Spec {
     #[pyo3(annotation = "str")]

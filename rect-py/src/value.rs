@@ -333,7 +333,7 @@ fn read_by_dtype<'py>(
 fn read_time<'py>(text: &Bound<'py, PyAny>, form: Form, path: &mut Path<'py>) -> PyResult<Value> {
     match read(text, form, path)? {
         Value::Text(time) if time == "NaT" => {
-            Err(path.error(text.py(), form, "is NaT, which is no time: send None"))
+            Err(path.error(text.py(), form, "is NaT, which is not a time: send None"))
         }
         time => Ok(time),
     }

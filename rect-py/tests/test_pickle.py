@@ -1,4 +1,4 @@
-"""What a program passes to another process: it survives `pickle` in every protocol, and `copy`.
+"""Tests that objects which a program passes to another process survive `pickle` in every protocol, and `copy`.
 
 pytest rect-py/tests/test_pickle.py
 """

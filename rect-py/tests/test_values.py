@@ -278,7 +278,7 @@ def test_message_is_shown_in_a_notebook_although_it_cannot_be_decoded() -> None:
         (rect.Cbor({Key(1): 1}), "has the key Key(x=1); keys must be values without a dict in CBOR"),
         ({"t": datetime.timedelta(1)}, "its field t is a duration: send a number"),
         ({"t": numpy.timedelta64(3, "s")}, "its field t is a duration: send a number"),
-        ({"t": numpy.datetime64("NaT")}, "its field t is NaT, which is no time: send None"),
+        ({"t": numpy.datetime64("NaT")}, "its field t is NaT, which is not a time: send None"),
         (numpy.array([3], "datetime64[ns]"), "within a dict or list, as JSON"),
         (numpy.zeros(2, [("a", "i4")]), "within a dict or list, as JSON"),
         (numpy.zeros(2, bool), "publish array.tolist() as JSON"),

@@ -55,7 +55,7 @@ struct Adapter {
     static expected<T> from_payload(const PayloadView& payload);
 };
 
-/// What the bytes of a payload are. Its encoding is compared like any media type, without case and without parameters.
+/// The kind of a payload, according to its encoding, which is compared like any media type, without case and without parameters.
 enum class EncodingKind : std::uint32_t {
     other = RECT_ENCODING_KIND_OTHER,  ///< Anything else, also text in another character set than UTF-8.
     json = RECT_ENCODING_KIND_JSON,    ///< JSON: `application/json`, `text/json`, or a type that ends in `+json`.

@@ -11,7 +11,7 @@ from rect import _rect
 from rect.choices import Urgency
 from rect.errors import PayloadError
 from rect.typed import Converter, T
-from rect.values import Payload, by_slots
+from rect.values import Payload, reduced
 
 
 class _Unread:
@@ -165,7 +165,7 @@ class Message(Generic[T]):
         return self._metadata.is_expired
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return by_slots(self)
+        return reduced(self)
 
     def __repr__(self) -> str:
         return f"Message({self.sender}/{self.topic}, {self._shown()})"

@@ -59,8 +59,8 @@ class StreamSender:
         Returns the number of groups of receivers to which the frame was sent: 0 to 2. A picture (numpy, Pillow or
         `Picture`) of an adaptive stream is sent at the size and quality that the link allows, and that of a video
         stream as video. Any other frame is sent unchanged, or compressed by the codec of the stream; an array that is
-        no picture is an error in a video stream. A frame is dropped if a slow link cannot accept it, or if the robot is
-        closed meanwhile.
+        not a picture is an error in a video stream. A frame is dropped if a slow link cannot accept it, or if the robot
+        is closed meanwhile.
 
         Raises `PayloadError`, `CodecError` and `Closed`.
         """

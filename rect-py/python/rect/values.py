@@ -62,7 +62,7 @@ class Payload:
         return value_of(self)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return by_slots(self)
+        return reduced(self)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Payload):
@@ -170,7 +170,7 @@ class Picture:
         return _rect.Codec("png").encode(*_raw_picture(self))[0]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return by_slots(self)
+        return reduced(self)
 
     def __eq__(self, other: object) -> bool:
         if not isinstance(other, Picture):
@@ -189,14 +189,14 @@ class Picture:
         return f"Picture({self.width}x{self.height} {self.format})"
 
 
-def by_slots(value: Any) -> tuple[Any, ...]:
+def reduced(value: Any) -> tuple[Any, ...]:
     """Returns how `pickle` and `copy` make the same object of a class with `__slots__`, in every protocol."""
     names = [name for cls in type(value).__mro__ for name in getattr(cls, "__slots__", ())]
     return _restored, (type(value), {name: getattr(value, name) for name in names if hasattr(value, name)})
 
 
 def _restored(cls: type[Any], fields: dict[str, Any]) -> Any:
-    """Returns the object that `by_slots` has described."""
+    """Returns the object that `reduced` has described."""
     made = object.__new__(cls)
     for name, value in fields.items():
         object.__setattr__(made, name, value)

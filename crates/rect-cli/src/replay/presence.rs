@@ -1,4 +1,4 @@
-//! Shows a recorded robot to the programs at the router of a replay, as its own router would: that it is there, and its topics.
+//! Shows a recorded robot to the programs at the router of a replay, as its own router would: that it is reachable, and its topics.
 use std::{
     sync::{Arc, Mutex, PoisonError},
     time::Instant,

@@ -24,7 +24,7 @@ pub struct TooLong {
     pub bytes: usize,
 }
 
-/// What the bytes of a payload are: how they are read. See [`Encoding::kind`].
+/// The kind of a payload, according to its encoding: how its bytes are read. See [`Encoding::kind`].
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 #[non_exhaustive]
 pub enum EncodingKind {
