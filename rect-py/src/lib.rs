@@ -4,7 +4,6 @@
 //! recordings also use the library's files. The sessions are part of the Python code (`python/rect/`), which uses eclipse-zenoh.
 mod action;
 mod action_result;
-mod action_result;
 mod attachment;
 mod callback;
 mod clock;
@@ -50,7 +49,6 @@ mod _rect {
             goal_ended, goal_feedback_topic, goal_id, goal_to_start, goal_topic, goals_query,
             no_action, ActionOrder, ActionRun, ActionServer, GoalMessage,
         },
-        action_result::{ResultPull, ResultToKeep, Results},
         action_result::{ResultPull, ResultToKeep, Results},
         attachment::{read_attachment, write_attachment},
         callback::{OnMessage, OnRequest},
