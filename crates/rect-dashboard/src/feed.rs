@@ -7,8 +7,8 @@ use std::{
 
 use axum::body::Bytes;
 use rect::{
-    EncodingKind, Frame, Message, Pattern, Payload, QueueOptions, Robot, RobotTopic, SubscribeOptions, Urgency, Watcher,
-    WhenFull,
+    EncodingKind, Frame, Message, Pattern, Payload, QueueOptions, Robot, RobotTopic,
+    SubscribeOptions, Urgency, Watcher, WhenFull,
 };
 use rect_core::{
     clock::unix::{ms_since_1970, since_1970},
