@@ -310,12 +310,8 @@ pub unsafe extern "C" fn rect_robot_start(
     call(error, || {
         require_out("run", &run)?;
         // SAFETY: the caller follows the rules of rect.h.
-        let (target, action) = unsafe {
-            (
-                text("target", target)?,
-                text("action_name", action_name)?,
-            )
-        };
+        let (target, action) =
+            unsafe { (text("target", target)?, text("action_name", action_name)?) };
         let mut described = rect::StartOptions::new();
         if let Some(options) = options {
             // SAFETY: the caller follows the rules of rect.h.

@@ -129,7 +129,13 @@ impl Driver {
         encoding: &str,
     ) -> PyResult<Reaction> {
         let payload = payload(bytes, encoding);
-        let reply = Ok(fields::sample(key, payload, None, false, driver::Sample::PRIORITY));
+        let reply = Ok(fields::sample(
+            key,
+            payload,
+            None,
+            false,
+            driver::Sample::PRIORITY,
+        ));
         self.on_event(py, Event::Reply { id: Id(id), reply })
     }
 

@@ -65,12 +65,12 @@ mod _rect {
         },
         errors::{forget, on_one_line},
         key_space::{
-            check_encoding, check_name, check_topic, encoding_kind, encoding_parts, pattern, InternalTopic,
-            KeySpace,
+            check_encoding, check_name, check_topic, encoding_kind, encoding_parts, pattern,
+            InternalTopic, KeySpace,
         },
         log::{
-            alert_topic, alerts_query, level_of_logging, log_keeper, log_reader, throttle, write_alert,
-            LogOutbox,
+            alert_topic, alerts_query, level_of_logging, log_keeper, log_reader, throttle,
+            write_alert, LogOutbox,
         },
         message::{Inbound, MessageMetadata},
         parameters::{

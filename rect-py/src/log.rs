@@ -12,7 +12,6 @@ use pyo3::{
     IntoPyObjectExt,
 };
 use rect_core::{
-    throttle::Throttle,
     alert::{
         self,
         query::{AlertsQuery, RobotAlert},
@@ -26,6 +25,7 @@ use rect_core::{
         reader::{Item, LogReader, Reading},
     },
     name::Name,
+    throttle::Throttle,
 };
 use serde_json::Value;
 

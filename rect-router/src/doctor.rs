@@ -92,7 +92,10 @@ pub fn of_router(
 
 /// Returns whether a router uses the simulated air and no other adapter.
 fn is_simulated(adapters: &[String]) -> bool {
-    !adapters.is_empty() && adapters.iter().all(|one| zenoh_link_ble::locator::is_simulated(one))
+    !adapters.is_empty()
+        && adapters
+            .iter()
+            .all(|one| zenoh_link_ble::locator::is_simulated(one))
 }
 
 /// Returns whether a connection uses Bluetooth.

@@ -252,7 +252,8 @@ impl Sources {
             .collect();
         let radio = Radio::now();
         let carried = |link: &Link| radio.carried(link).or_else(|| sockets.carried(link));
-        self.silence.retain(&by_ends.keys().cloned().collect::<HashSet<_>>());
+        self.silence
+            .retain(&by_ends.keys().cloned().collect::<HashSet<_>>());
         let mut connections = Vec::new();
         let named = self.connections.as_ref();
         for snapshot in named.map_or_else(Vec::new, |named| named.snapshots()) {

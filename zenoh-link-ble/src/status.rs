@@ -11,11 +11,11 @@ use crate::link::node::Node;
 
 pub use crate::{
     discovered::DiscoveredStatus,
-    refusals::RefusedStatus,
     link::{
         history::{Event, PeerStatus},
         status::{LaneStatus, LanesStatus, LinkStatus, LinkUsage, NodeStatus},
     },
+    refusals::RefusedStatus,
 };
 
 static NODES: Mutex<Vec<Weak<Node>>> = Mutex::new(Vec::new());

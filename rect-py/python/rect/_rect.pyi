@@ -154,7 +154,6 @@ class Codec:
     """
 
     def __new__(cls, spec: str | Dictionary) -> Codec: ...
-
     @property
     def name(self) -> str:
         """The full name, such as `zstd:9`."""

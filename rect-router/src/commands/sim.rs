@@ -18,7 +18,11 @@ use signal_hook::{
 };
 use tempfile::TempDir;
 
-use self::{air::Air, program::Program, robot::{SharedFiles, SimulatedRobot}};
+use self::{
+    air::Air,
+    program::Program,
+    robot::{SharedFiles, SimulatedRobot},
+};
 use super::{wifi::Serving, Failure};
 use crate::args::SimArgs;
 

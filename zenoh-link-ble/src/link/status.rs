@@ -7,9 +7,7 @@ use link_lanes::{
 };
 use serde::Serialize;
 
-use crate::{
-    discovered::DiscoveredStatus, link::history::PeerStatus, refusals::RefusedStatus,
-};
+use crate::{discovered::DiscoveredStatus, link::history::PeerStatus, refusals::RefusedStatus};
 
 /// The `ble` links of one Zenoh runtime.
 #[derive(Clone, Debug, Serialize)]

@@ -154,7 +154,8 @@ impl Robot {
         &self,
         pattern: impl TryInto<Pattern, Error: Into<Error>>,
     ) -> Result<Subscriber<T>, Error> {
-        self.subscribe_with(pattern, SubscribeOptions::default()).await
+        self.subscribe_with(pattern, SubscribeOptions::default())
+            .await
     }
 
     /// Subscribes to the messages that match `pattern`, with other settings: of the receive queue, or for fewer messages.
