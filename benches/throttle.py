@@ -17,7 +17,7 @@ from table import Table
 
 #: The payload of the link-layer packets in bytes: with 27, the air carries 34 kB/s.
 PDU = 27
-#: The topic: 18 bytes, so many times a second.
+#: The topic: its value, of 18 bytes, and how often it is published per second.
 POSE, PER_S = b"123.45 678.90 1.23", 20
 FOR_S = float(rounds(10))
 TIMEOUT_S = 30.0
@@ -72,7 +72,7 @@ def measure(case: Case) -> list[str]:
             publisher.publish(POSE)
             time.sleep(0.1)
             assert time.monotonic() < began + TIMEOUT_S
-        # What asks for the messages, and what is waiting, is not counted.
+        # The wishes, and messages in flight, are not counted.
         time.sleep(2)
         before, counts = sent(air), [len(messages) for messages in received]
         began, pause = time.monotonic(), threading.Event()

@@ -1,6 +1,6 @@
 //! Decodes untrusted attachments, headers of requests and keys. A decoded value must encode to the same value; a message key must equal
-//! the key that its sender builds from the decoded address. A request that is carried out at most once is not carried out again. What asks
-//! for fewer messages, and those messages, are handled.
+//! the key that its sender builds from the decoded address. A request that is carried out at most once is not carried out again. Tokens
+//! of throttled subscriptions, and their messages, are handled.
 use std::time::Instant;
 
 use rect_core::{

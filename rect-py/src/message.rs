@@ -42,7 +42,7 @@ pub struct MessageMetadata {
 
 #[pymethods]
 impl Inbound {
-    /// Creates the state of a subscription to a pattern: to at most so many messages a second, and to those whose value differs.
+    /// Creates the state of a subscription to a pattern: to all messages, to at most `max_hz` per second, or to those whose value differs.
     #[new]
     #[pyo3(signature = (key_space, pattern, max_hz=None, on_change=false))]
     fn new(

@@ -239,14 +239,11 @@ def test_module_runs_router_named_by_environment() -> None:
 
 
 def test_missing_router_error_says_what_to_do(tmp_path: Path) -> None:
-    from rect import __main__ as module
-
-    code = f"import rect.__main__ as m; from pathlib import Path; m._ROUTER = Path({str(tmp_path)!r}) / 'x'; m.router()"
+    code = f"import rect.__main__ as m; from pathlib import Path; m._BIN = Path({str(tmp_path)!r}); m.router()"
     environment = {"PATH": "/nowhere", "HOME": str(tmp_path)}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 1
-    assert "has no router" in done.stderr
-    assert module._ROUTER.name == "rect-router"
+    assert "does not contain the program rect-router: install a wheel that contains it" in done.stderr
 
 
 def test_program_that_connects_again_and_again_keeps_no_files_open(routers: Routers) -> None:

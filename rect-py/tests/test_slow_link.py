@@ -111,7 +111,7 @@ def test_doctor_names_the_topic_that_fills_a_link(routers: Routers) -> None:
             (link,) = asked(session)["links"]
             # The share is known once the link has measured its rate.
             shares = {topic: shares for topic, _, *shares in link["sent"]}
-            return sum(shares.get("wombat-1/camera", [])) > 0.9
+            return bool(sum(shares.get("wombat-1/camera", [])) > 0.9)
 
         filling = threading.Thread(target=fill)
         filling.start()

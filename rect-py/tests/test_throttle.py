@@ -1,5 +1,4 @@
-"""Tests subscriptions that ask for fewer messages (`max_hz`, `on_change`), between robots whose routers are linked on the
-simulated air.
+"""Tests subscriptions for fewer messages (`max_hz`, `on_change`) between robots on the simulated air.
 
 RECT_ROUTER=target/checked/rect-router RECT_TOOL=target/checked/rect pytest rect-py/tests/test_throttle.py
 """
@@ -20,7 +19,7 @@ from programs import Routers
 
 def numbers_of(subscriber: rect.Subscriber[Any], last: int) -> list[rect.Message[Any]]:
     """Returns the messages up to the one with the value `last`, which arrives although it comes too early."""
-    messages = []
+    messages: list[rect.Message[Any]] = []
     while not messages or messages[-1].value != last:
         messages.append(subscriber.next(DEADLINE))
     return messages
@@ -85,39 +84,45 @@ def test_each_of_three_receivers_gets_its_rate_and_the_largest_is_sent(routers: 
 
 
 def test_wildcards_urgency_and_metadata_are_kept(routers: Routers) -> None:
-    with routers.connect("wombat-1") as one, routers.connect("wombat-2") as two:
-        with two.subscribe("*/kept/*", max_hz=10) as subscriber:
-            until_throttled(one, "kept/a", subscriber)
-            one.publish("kept/b", {"x": 1}, urgency="urgent")
+    with (
+        routers.connect("wombat-1") as one,
+        routers.connect("wombat-2") as two,
+        two.subscribe("*/kept/*", max_hz=10) as subscriber,
+    ):
+        until_throttled(one, "kept/a", subscriber)
+        one.publish("kept/b", {"x": 1}, urgency="urgent")
+        message = subscriber.next(DEADLINE)
+        while message.topic != "kept/b":
             message = subscriber.next(DEADLINE)
-            while message.topic != "kept/b":
-                message = subscriber.next(DEADLINE)
-            assert message.sender == "wombat-1"
-            assert message.value == {"x": 1}
-            assert message.urgency == "urgent"
-            assert message.sequence is not None
-            assert message.sent_at is not None
-            assert message.skipped == 0
-            # Messages to this robot alone arrive as they are sent.
-            for number in range(5):
-                one.send("wombat-2", "kept/c", number)
-            sent = [subscriber.next(DEADLINE) for _ in range(5)]
-            assert [message.value for message in sent] == [0, 1, 2, 3, 4]
+        assert message.sender == "wombat-1"
+        assert message.value == {"x": 1}
+        assert message.urgency == "urgent"
+        assert message.sequence is not None
+        assert message.sent_at is not None
+        assert message.skipped == 0
+        # Messages to this robot alone arrive as they are sent.
+        for number in range(5):
+            one.send("wombat-2", "kept/c", number)
+        sent = [subscriber.next(DEADLINE) for _ in range(5)]
+        assert [message.value for message in sent] == [0, 1, 2, 3, 4]
 
 
 def test_equal_values_do_not_cross_the_air(routers: Routers) -> None:
-    with routers.connect("wombat-1") as one, routers.connect("wombat-2") as two:
-        with two.subscribe("wombat-1/mode", on_change=True) as subscriber:
-            until_throttled(one, "mode", subscriber)
-            before = air_bytes(routers)
-            for _ in range(100):
-                one.publish("mode", "x" * 100)
-            one.publish("mode", "last")
-            values = [subscriber.next(DEADLINE).value]
-            while values[-1] != "last":
-                values.append(subscriber.next(DEADLINE).value)
-            assert [value for value in values if value != -1] == ["x" * 100, "last"]
-            assert air_bytes(routers) - before < 3000
+    with (
+        routers.connect("wombat-1") as one,
+        routers.connect("wombat-2") as two,
+        two.subscribe("wombat-1/mode", on_change=True) as subscriber,
+    ):
+        until_throttled(one, "mode", subscriber)
+        before = air_bytes(routers)
+        for _ in range(100):
+            one.publish("mode", "x" * 100)
+        one.publish("mode", "last")
+        values = [subscriber.next(DEADLINE).value]
+        while values[-1] != "last":
+            values.append(subscriber.next(DEADLINE).value)
+        assert [value for value in values if value != -1] == ["x" * 100, "last"]
+        assert air_bytes(routers) - before < 3000
 
 
 def test_retained_topic_delivers_its_last_value(routers: Routers) -> None:
@@ -147,15 +152,18 @@ def test_nothing_is_sent_for_a_program_that_has_ended(routers: Routers) -> None:
 
 
 def test_stock_programs_are_throttled_too(routers: Routers) -> None:
-    with routers.connect("wombat-2") as two, routers.robots["wombat-1"].session() as stock:
-        with two.subscribe("wombat-1/stock", max_hz=5) as subscriber:
-            until(lambda: stock.put("rect/wombat-1/stock", "text") is None and arrived(subscriber))
-            received = 0
-            for _ in range(100):
-                stock.put("rect/wombat-1/stock", "text", encoding=zenoh.Encoding.TEXT_PLAIN)
-            while arrived(subscriber):
-                received += 1
-            assert received < 20
+    with (
+        routers.connect("wombat-2") as two,
+        routers.robots["wombat-1"].session() as stock,
+        two.subscribe("wombat-1/stock", max_hz=5) as subscriber,
+    ):
+        until(lambda: stock.put("rect/wombat-1/stock", "text") is None and arrived(subscriber))
+        received = 0
+        for _ in range(100):
+            stock.put("rect/wombat-1/stock", "text", encoding=zenoh.Encoding.TEXT_PLAIN)
+        while arrived(subscriber):
+            received += 1
+        assert received < 20
 
 
 def arrived(subscriber: rect.Subscriber[Any]) -> bool:

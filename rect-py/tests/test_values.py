@@ -183,7 +183,7 @@ RECORDS = numpy.array([(1, 2.5), (3, 4.5)], [("a", "i4"), ("b", "f8")])
         ({"r": RECORDS}, {"r": [{"a": 1, "b": 2.5}, {"a": 3, "b": 4.5}]}),
         ({"r": RECORDS[1]}, {"r": {"a": 3, "b": 4.5}}),
         (RECORDS[1], {"a": 3, "b": 4.5}),
-        ({"m": numpy.ma.array([1, 2], mask=[0, 1])}, {"m": [1, None]}),
+        ({"m": numpy.ma.array([1, 2], mask=[False, True])}, {"m": [1, None]}),
         ({"t": numpy.datetime64("2026-01-02T03:04:05.123456789")}, {"t": "2026-01-02T03:04:05.123456789"}),
         ({"t": numpy.datetime64("2026-01-02T03:04:05")}, {"t": "2026-01-02T03:04:05"}),
         ({"t": numpy.datetime64("2026-01-02")}, {"t": "2026-01-02"}),
@@ -282,7 +282,7 @@ def test_message_is_shown_in_a_notebook_although_it_cannot_be_decoded() -> None:
         (numpy.array([3], "datetime64[ns]"), "within a dict or list, as JSON"),
         (numpy.zeros(2, [("a", "i4")]), "within a dict or list, as JSON"),
         (numpy.zeros(2, bool), "publish array.tolist() as JSON"),
-        (numpy.ma.array([1, 2], mask=[0, 1]), "array.filled(value)"),
+        (numpy.ma.array([1, 2], mask=[False, True]), "array.filled(value)"),
         (PIL.Image.new("I;16", (2, 2)), "publish numpy.asarray(image), which keeps all bits"),
         (PIL.Image.new("I", (2, 2)), "publish numpy.asarray(image), which keeps all bits"),
         (PIL.Image.new("F", (2, 2)), "publish numpy.asarray(image), which keeps all bits"),
@@ -315,7 +315,7 @@ def test_invalid_picture_is_named() -> None:
     with pytest.raises(rect.PayloadError, match=r"uint16, 3x3.*Publish it as an array"):
         payload_of(numpy.zeros((3, 3), numpy.uint16), rect.Codec("png"))
     with pytest.raises(rect.PayloadError, match=r"array.filled"):
-        payload_of(numpy.ma.array(numpy.zeros((1, 2), numpy.uint8), mask=[[0, 1]]), rect.Codec("png"))
+        payload_of(numpy.ma.array(numpy.zeros((1, 2), numpy.uint8), mask=[[False, True]]), rect.Codec("png"))
     with pytest.raises(TypeError, match="not dict"):
         payload_of({}, rect.Codec("png"))
     with pytest.raises(rect.CodecError, match="11 bytes are not the size of 2x2 rgb8"):

@@ -23,6 +23,7 @@ pub mod scheduler;
 pub mod sdu;
 #[cfg(test)]
 mod tests;
+pub mod usage;
 
 use std::time::Instant;
 
@@ -35,7 +36,7 @@ use self::{
     scheduler::{Bounds, Scheduler, Sent},
     sdu::{Content, Protection},
 };
-use crate::usage::{keys::KeyTable, Usage};
+use usage::{keys::KeyTable, Usage};
 
 /// Number of lanes of a link in each direction: one for each of Zenoh's priorities.
 pub const LANES: usize = Priority::NUM;

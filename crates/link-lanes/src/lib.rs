@@ -3,7 +3,7 @@
 //! A link begins with a handshake: [`hello`] defines its messages, [`key_agreement`] derives keys from the [`secret`] of a
 //! team, and [`sealed_message`] encrypts the messages that follow; [`first_message`] decides which dialler gets a link. After the
 //! handshake, [`lanes`] carries Zenoh's batches by priority, [`seal`] encrypts each SDU, and a [`goodbye`] states why a link
-//! ends. [`usage`] counts what a link sends for each key. `PROTOCOL.md` is the specification.
+//! ends. [`lanes::usage`] counts what a link sends for each key. `PROTOCOL.md` is the specification.
 //!
 //! All types are given the time and never wait. `zenoh-link-ble` moves their bytes over Bluetooth channels, and
 //! `zenoh-link-any` also over TCP.
@@ -18,7 +18,8 @@ mod node_id;
 pub mod seal;
 pub mod sealed_message;
 pub mod secret;
-pub mod usage;
+
+pub use lanes::usage;
 #[cfg(test)]
 mod vectors {
     //! Reads the test vectors of the protocol.

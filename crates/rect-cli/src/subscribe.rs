@@ -18,7 +18,7 @@ pub struct SubArguments {
     /// Exit after this number of messages
     #[arg(long)]
     count: Option<u64>,
-    /// Receive at most so many messages of each topic a second, such as 2 or 0.5; the robot that publishes leaves out the others
+    /// Receive at most this number of messages of each topic per second, such as 2 or 0.5; the robot that publishes leaves out the others
     #[arg(long, value_name = "RATE")]
     max_hz: Option<f64>,
     /// Receive only messages whose value differs from the last one

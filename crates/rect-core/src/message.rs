@@ -359,7 +359,7 @@ impl Inbound {
             .ok_or(Undelivered::NotSelected)?;
         let attachment = Attachment::decode(attachment);
         let place = receiver.place(&sender, &topic, header, now);
-        // What is missing on the way is known by the numbers of the stream: those of the publisher also leave out what nobody wants.
+        // The numbers of the stream show what was lost on the way: those of the publisher also have gaps where messages were left out.
         let numbered = Attachment {
             source: place.source,
             sequence: place.number,
@@ -369,13 +369,13 @@ impl Inbound {
         let expires = attachment.and_then(|attachment| attachment.lifetime_ms);
         let at = expires.map(|_| now);
         let arrival = self.gaps.on_message(&sender, &numbered, at);
-        let wanted =
+        let selection =
             receiver.on_message((&sender, &topic), (header, attachment), arrival.missed, now);
-        let wanted = wanted.ok_or(Undelivered::NotSelected)?;
+        let gap = selection.ok_or(Undelivered::NotSelected)?;
         let mut message = Message {
             urgency: Urgency::from_priority(delivered.priority),
-            missed: wanted.missed,
-            skipped: wanted.skipped,
+            missed: gap.missed,
+            skipped: gap.skipped,
             late: arrival.late,
             ..Message::new(sender, topic, delivered.payload)
         };

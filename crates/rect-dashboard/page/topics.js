@@ -44,8 +44,7 @@ export function topics(link, parent, notify) {
     const matches = wordFilter(filter);
     const known = link.states.topics?.topics ?? [];
     // The view Actions shows the goals. If you look for their topics, you get them.
-    const isGoal = (row) => row.topic.startsWith("actions/");
-    const all = filter.value.includes("actions") ? known : known.filter((row) => !isGoal(row));
+    const all = filter.value.includes("actions") ? known : known.filter((row) => !row.topic.startsWith("actions/"));
     rows = all.filter((row) => matches(`${row.robot}/${row.topic}`));
     const more = link.states.topics?.more;
     setText(count, `${rows.length} of ${all.length}${more ? `, and ${more} more that the routers do not list` : ""}`);

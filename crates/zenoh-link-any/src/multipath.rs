@@ -383,7 +383,7 @@ impl Multipath {
         let overhead = overhead(path.medium, self.options.is_encrypted);
         if let Some(usage) = self.usage.get_mut(&path.medium) {
             let begun: u64 = out.starting_in(&range).map(|(_, bytes)| bytes).sum();
-            // The frame begins with the rest of the batch before, if there is one. What is added to the frame counts with that.
+            // The frame begins with the rest of the batch before, if there is one. Bytes that are added to the frame count with that.
             let rest = range.end - range.start - begun;
             let mut size = Size {
                 bytes: rest + (DATA_HEAD_BYTES + overhead) as u64,

@@ -53,11 +53,11 @@ struct SubscribeOptions {
 
     /// The settings of the receive queue.
     QueueOptions queue;
-    /// How many messages of each topic are wanted a second at most, 0.01 to 1000; 0 means all, the default. The newest one wins. The
+    /// The largest number of messages of each topic per second, 0.01 to 1000; 0 means all, the default. The newest one wins. The
     /// router of the robot that publishes leaves out the others, so that they cost nothing on the air; they count as skipped(), and not
     /// as missed. Messages that are sent to this robot alone, and retained ones, arrive as they are sent.
     double max_hz = 0;
-    /// Whether only messages are wanted whose value differs from the last one.
+    /// Whether to receive only messages whose value differs from the last one.
     bool on_change = false;
 };
 

@@ -211,7 +211,8 @@ class ActionError(RectError):
 
     def __init__(self, phase: Phase, reason: str, result: Any = None) -> None:
         super().__init__(_rect.goal_ended(phase, reason))
-        #: How the goal has ended: `refused`, `failed`, `cancelled`, `preempted` or `lost`; `done` if its result is lost.
+        #: How the goal has ended: `refused`, `failed`, `cancelled`, `preempted` or `lost`; `done` if its result was
+        #: lost.
         self.phase: Phase = phase
         #: Why; empty if that is clear.
         self.reason = reason

@@ -265,11 +265,11 @@ class Robot:
         - `capacity`: number of messages that may wait for the program, at least 1. Default: 256.
         - `when_full`: `drop_oldest` (default) drops the message that has waited longest, `drop_newest` drops the
           message that arrived last, and `block` makes the sender wait.
-        - `max_hz`: how many messages of each topic are wanted a second at most, 0.01 to 1000. Default: all. The newest
+        - `max_hz`: the largest number of messages of each topic per second, 0.01 to 1000. Default: all. The newest
           one wins. The router of the robot that publishes leaves out the others, so that they cost nothing on the air;
           they count as `Message.skipped`, and not as missed. Messages that are sent to this robot alone, and retained
           ones, arrive as they are sent.
-        - `on_change`: whether only messages are wanted whose value differs from the last one. Default: no.
+        - `on_change`: whether to receive only messages whose value differs from the last one. Default: no.
 
         Raises `InvalidTopicError`, `InvalidNameError`, `OptionError`, `Closed`, and `TypeError` if values cannot be
         converted to the type. Example:

@@ -333,12 +333,13 @@ def _numpy_of(payload: Payload) -> numpy.ndarray[Any, Any]:
 def _pixels_of_array(array: numpy.ndarray[Any, Any]) -> tuple[int, int, PixelFormat, bytes]:
     channels = 1 if array.ndim == 2 else array.shape[-1]
     formats: dict[int, PixelFormat] = {count: name for name, count in _CHANNELS.items()}
-    if array.dtype != "uint8" or array.ndim not in (2, 3) or channels not in formats:
-        found = f"{array.dtype}, {'x'.join(map(str, array.shape))}"
+    is_pixels, dtype = array.dtype == "uint8", array.dtype
+    if not is_pixels or array.ndim not in (2, 3) or channels not in formats:
+        found = f"{dtype}, {'x'.join(map(str, array.shape))}"
         text = f"a picture must be an array of uint8, height x width or height x width x 1, 3 or 4; this one is {found}"
-        if array.dtype.kind == "f":
+        if dtype.kind == "f":
             text += ". If its values are 0 to 1, convert it with (array * 255).astype('uint8')"
-        elif array.dtype != "uint8":
+        elif not is_pixels:
             text += ". Publish it as an array, which keeps all bits, or reduce it to 8 bits"
         raise PayloadError(text, "write")
     _check_mask(array)

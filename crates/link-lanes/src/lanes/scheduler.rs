@@ -5,6 +5,7 @@ use std::{
     time::{Duration, Instant},
 };
 
+use super::usage::{keys::KeyTable, Size, Usage};
 use super::{
     ack_timer::AckTimer,
     backlog::{self, Backlog, Limits, Queued},
@@ -16,7 +17,6 @@ use super::{
     sdu::{Content, Sealer, HEAD_BYTES},
     Lane, LANES,
 };
-use crate::usage::{keys::KeyTable, Size, Usage};
 
 /// The limits of what may wait on a link.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

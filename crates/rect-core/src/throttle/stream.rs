@@ -45,7 +45,7 @@ impl Stream {
     /// Sets what the robot asks for now.
     pub(super) fn set_asked(&mut self, asked: Asked) {
         if asked.interval < self.asked.interval {
-            // What was sent for the longer interval does not delay the next message.
+            // The longer interval does not delay the next message.
             let sooner = self
                 .earliest
                 .checked_sub(self.asked.interval - asked.interval);
@@ -116,7 +116,7 @@ impl Stream {
 }
 
 impl Asked {
-    /// What nobody has asked for yet.
+    /// The wishes of nobody.
     pub(super) const NOTHING: Self = Self {
         interval: Duration::MAX,
         slowest: Duration::ZERO,

@@ -35,7 +35,7 @@ pub(super) struct Route {
     pub(super) asked: Asked,
 }
 
-/// What the subscribers of a robot ask for together.
+/// The largest wish of the subscribers of a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Asked {
     /// The shortest interval between two messages that one of them wants.

@@ -5,11 +5,12 @@ use bytes::Bytes;
 use rect_core::{
     action::{result::LargeResult, results::Results},
     driver::Event,
+    name::key::KeySpace,
 };
+use zenoh::Session;
 
 use super::{
     executor::Executor,
-    robot::Robot,
     shared::{NoItems, Shared},
 };
 use crate::error::Error;
@@ -17,23 +18,17 @@ use crate::error::Error;
 /// The large results of a program, which are kept until this is dropped.
 pub(super) struct KeptResults(Arc<Shared<Results>>);
 
-impl Robot {
-    /// Keeps a large result, and replies to the requests for its pieces.
-    pub(super) fn keep_result(&self, result: &LargeResult, bytes: Bytes) -> Result<(), Error> {
-        let inner = &self.inner;
-        let kept = match inner.results.get() {
-            Some(kept) => kept,
-            None => {
-                let results = Results::new(inner.place.clone());
-                // A thread, because a reply waits while a link has no room.
-                let executor = Executor::new(&inner.session, results, NoItems);
-                let started = KeptResults(executor.start_thread("rect-results")?);
-                inner.results.get_or_init(|| started)
-            }
-        };
-        kept.0.driver().keep(result, bytes, Instant::now());
-        kept.0.wake();
-        Ok(())
+impl KeptResults {
+    /// Starts to keep results, and to reply to the requests for their pieces.
+    pub(super) fn start(session: &Session, place: KeySpace) -> Result<Self, Error> {
+        // A thread, because a reply waits while a link has no room.
+        let executor = Executor::new(session, Results::new(place), NoItems);
+        Ok(Self(executor.start_thread("rect-results")?))
+    }
+
+    pub(super) fn keep(&self, result: &LargeResult, bytes: Bytes) {
+        self.0.driver().keep(result, bytes, Instant::now());
+        self.0.wake();
     }
 }
 

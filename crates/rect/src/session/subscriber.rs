@@ -77,11 +77,11 @@ impl Default for QueueOptions {
 pub struct SubscribeOptions {
     /// The settings of the receive queue.
     pub queue: QueueOptions,
-    /// How many messages of each topic are wanted a second at most, 0.01 to 1000; default: all. The newest one wins. The router of the
+    /// The largest number of messages of each topic per second, 0.01 to 1000; default: all. The newest one wins. The router of the
     /// robot that publishes leaves out the others, so that they cost nothing on the air; they count as [`Message::skipped`], and not
     /// as missed. Messages that are sent to this robot alone, and retained ones, arrive as they are sent.
     pub max_hz: Option<f64>,
-    /// Whether only messages are wanted whose value differs from the last one; default: no.
+    /// Whether to receive only messages whose value differs from the last one; default: no.
     pub on_change: bool,
 }
 
@@ -199,6 +199,7 @@ impl Robot {
     }
 
     /// Receives each selected message once.
+    #[cfg(feature = "recording")]
     pub(super) fn select<T: FromPayload>(
         &self,
         selected: Vec<Selected>,

@@ -14,7 +14,7 @@ const NUMBERS: u8 = 32;
 /// The longest attachment that is passed on.
 const MAX_ATTACHMENT: usize = 64;
 
-/// What a router adds to a message.
+/// The bytes that a router adds to a message.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Header {
     /// The number of the message in its stream, modulo 32.

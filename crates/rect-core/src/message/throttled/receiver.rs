@@ -31,11 +31,11 @@ struct Stream {
     source: u16,
     /// The number of the last message.
     number: u32,
-    /// When the next message is wanted.
+    /// The time from which the next message is delivered.
     due: Instant,
     /// Whether a value has differed from the one before it since the last message that was delivered.
     is_changed: bool,
-    /// Whether the last message was delivered or not wanted.
+    /// Whether the last message was delivered, or left out for good.
     is_settled: bool,
     /// The publisher and the sequence number of the last message that was delivered.
     delivered: Option<(u16, u32)>,
@@ -52,10 +52,10 @@ pub struct Place {
     pub number: u32,
 }
 
-/// A message that the subscriber wants.
+/// The gap before a message that the subscriber receives.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Wanted {
-    /// The number of messages that did not arrive since the last one that it wanted.
+pub struct Gap {
+    /// The number of messages that did not arrive since the last one that it received.
     pub missed: u32,
     /// The number of messages that its publisher has sent since, and that were left out.
     pub skipped: u32,
@@ -118,7 +118,7 @@ impl Receiver {
         (header, attachment): (Header, Option<Attachment>),
         missed: u32,
         now: Instant,
-    ) -> Option<Wanted> {
+    ) -> Option<Gap> {
         let stream = (sender.clone(), topic.clone());
         let stream = self.streams.get_mut(&stream)?;
         stream.missed = stream.missed.saturating_add(missed);
@@ -152,6 +152,6 @@ impl Receiver {
             }
             _ => 0,
         };
-        Some(Wanted { missed, skipped })
+        Some(Gap { missed, skipped })
     }
 }

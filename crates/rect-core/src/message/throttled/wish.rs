@@ -12,7 +12,7 @@ pub const MAX_HZ: f64 = 1000.0;
 pub struct Wish {
     /// The highest rate in thousandths of a message per second. `None`: any rate.
     max_mhz: Option<u32>,
-    /// Whether a message whose value equals the last one is not wanted.
+    /// Whether to leave out messages whose value equals the last one.
     on_change: bool,
 }
 
@@ -42,7 +42,7 @@ impl Wish {
         self.max_mhz.map_or(Duration::ZERO, of)
     }
 
-    /// Returns whether a message whose value equals the last one is not wanted.
+    /// Returns whether to leave out messages whose value equals the last one.
     pub fn is_on_change(self) -> bool {
         self.on_change
     }

@@ -11,15 +11,16 @@ use rect_core::{
         state::Phase,
     },
     message::payload::Payload,
+    name::Name,
     transfer::Progress,
 };
 use tokio::task::JoinHandle;
 
-use super::run::Followed;
 use crate::{
     error::Error,
     session::{
         executor::Executor,
+        robot::Robot,
         shared::{lock, NoItems, Shared},
     },
 };
@@ -53,6 +54,47 @@ impl Pulled {
         Some(lock(&self.running).as_ref()?.driver().expected())
     }
 
+    /// Receives the large result of a goal. If the future is dropped, the reception goes on, and the next call waits for it.
+    pub(super) async fn pull(
+        &self,
+        robot: &Robot,
+        goal: (&Name, &str, &str),
+        result: &LargeResult,
+    ) -> Result<Payload, Error> {
+        let mut state = self.state.lock().await;
+        if let PullState::Received(payload) = &*state {
+            return Ok(payload.clone());
+        }
+        if let PullState::None = &*state {
+            *state = PullState::Running(self.start(robot, goal, result)?);
+        }
+        let PullState::Running(running) = &mut *state else {
+            return Err(Error::Closed);
+        };
+        let outcome = running.await.unwrap_or(Err(Error::Closed));
+        *state = PullState::None;
+        *lock(&self.running) = None;
+        let payload = outcome?.map_err(unavailable)?;
+        *state = PullState::Received(payload.clone());
+        Ok(payload)
+    }
+
+    fn start(
+        &self,
+        robot: &Robot,
+        (target, action, id): (&Name, &str, &str),
+        result: &LargeResult,
+    ) -> Result<JoinHandle<Outcome>, Error> {
+        let inner = &robot.inner;
+        let pull = ResultPull::new(&inner.place, target, action, id, result, Instant::now());
+        let executor = Executor::new(&inner.session, pull.map_err(unavailable)?, NoItems);
+        *lock(&self.running) = Some(executor.shared().clone());
+        // A request waits while a link has no room.
+        Ok(inner
+            .runtime
+            .spawn_blocking(move || executor.run_blocking()))
+    }
+
     fn stop(&self) {
         if let Some(running) = lock(&self.running).take() {
             running.driver().stop();
@@ -64,41 +106,6 @@ impl Pulled {
 impl Drop for Pulled {
     fn drop(&mut self) {
         self.stop();
-    }
-}
-
-impl Followed {
-    /// Receives a large result. If the future is dropped, the reception goes on, and the next call waits for it.
-    pub(super) async fn pull(&self, result: &LargeResult) -> Result<Payload, Error> {
-        let mut state = self.pulled.state.lock().await;
-        if let PullState::Received(payload) = &*state {
-            return Ok(payload.clone());
-        }
-        if let PullState::None = &*state {
-            *state = PullState::Running(self.start_pull(result)?);
-        }
-        let PullState::Running(running) = &mut *state else {
-            return Err(Error::Closed);
-        };
-        let outcome = running.await.unwrap_or(Err(Error::Closed));
-        *state = PullState::None;
-        *lock(&self.pulled.running) = None;
-        let payload = outcome?.map_err(unavailable)?;
-        *state = PullState::Received(payload.clone());
-        Ok(payload)
-    }
-
-    fn start_pull(&self, result: &LargeResult) -> Result<JoinHandle<Outcome>, Error> {
-        let inner = &self.robot.inner;
-        let (action, id) = (&self.action, &self.id);
-        let now = Instant::now();
-        let pull = ResultPull::new(&inner.place, &self.target, action, id, result, now);
-        let executor = Executor::new(&inner.session, pull.map_err(unavailable)?, NoItems);
-        *lock(&self.pulled.running) = Some(executor.shared().clone());
-        // A request waits while a link has no room.
-        Ok(inner
-            .runtime
-            .spawn_blocking(move || executor.run_blocking()))
     }
 }
 

@@ -50,13 +50,13 @@ pub struct ActionRun {
 /// Reports changes of a goal; created by [`ActionRun::changes`].
 pub struct ActionChanges(watch::Receiver<()>, Arc<Followed>);
 
-pub(super) struct Followed {
-    pub(super) robot: Robot,
-    pub(super) target: Name,
-    pub(super) action: String,
-    pub(super) id: String,
+struct Followed {
+    robot: Robot,
+    target: Name,
+    action: String,
+    id: String,
     run: Mutex<run::ActionRun>,
-    pub(super) pulled: Pulled,
+    pulled: Pulled,
     changes: watch::Sender<()>,
 }
 
@@ -445,7 +445,11 @@ impl ActionRun {
         }
         let state = lock(&self.followed.run).state().clone();
         match (state.phase, &state.transfer) {
-            (Phase::Done, Some(large)) => self.followed.pull(large).await,
+            (Phase::Done, Some(large)) => {
+                let followed = &self.followed;
+                let goal = (&followed.target, &*followed.action, &*followed.id);
+                followed.pulled.pull(&followed.robot, goal, large).await
+            }
             (Phase::Done, None) => Ok(state
                 .result()
                 .unwrap_or_else(|| Payload::new("null", Encoding::JSON))),

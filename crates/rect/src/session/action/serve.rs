@@ -41,6 +41,7 @@ use crate::{
     session::{
         events::Events,
         executor::Executor,
+        results::KeptResults,
         robot::Robot,
         service::{Request, Requests},
         shared::{lock, sleep_until, NoItems},
@@ -208,6 +209,16 @@ fn outcome<V: ToPayload, E: ToPayload>(id: &str, result: Result<V, E>, noticed: 
 }
 
 impl Shared {
+    /// Returns the large results of the program, which begin to be kept with the first one.
+    fn results(&self) -> Result<&KeptResults, Error> {
+        let inner = &self.robot.inner;
+        if let Some(kept) = inner.results.get() {
+            return Ok(kept);
+        }
+        let started = KeptResults::start(&inner.session, inner.place.clone())?;
+        Ok(inner.results.get_or_init(|| started))
+    }
+
     fn on_feedback(&self, id: &str, feedback: Feedback) {
         lock(&self.server).on_feedback(id, feedback);
         self.publications.notify_one();
@@ -372,11 +383,10 @@ impl Shared {
                     drop(server);
                     self.work.notify_one();
                 }
-                Publication::Serve { result, bytes } => {
-                    if let Err(error) = self.robot.keep_result(&result, bytes) {
-                        warn(&format!("a result cannot be kept: {error}"));
-                    }
-                }
+                Publication::Serve { result, bytes } => match self.results() {
+                    Ok(results) => results.keep(&result, bytes),
+                    Err(error) => warn(&format!("a result cannot be kept: {error}")),
+                },
                 Publication::Feedback { id, payload } => {
                     lock(&self.news).insert(id, payload);
                     self.has_news.notify_one();
