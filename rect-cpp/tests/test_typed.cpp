@@ -102,7 +102,7 @@ TEST_CASE("values arrive as their type, and others with a problem") {
     CHECK(message.value().error().code == rect::Code::payload);
     CHECK(message.problem() == "field percent: expected a number, found the text 'full'");
     CHECK(must(batteries.next(deadline)).problem() == "expected an object, found the text 'text'");
-    CHECK_THAT(std::string(must(batteries.next(deadline)).problem()), ContainsSubstring("JSON, CBOR or text is required"));
+    CHECK_THAT(std::string(must(batteries.next(deadline)).problem()), ContainsSubstring("JSON, CBOR or text in UTF-8 is required"));
     CHECK(must(pair.two.counters()).problems == 3);
 }
 
