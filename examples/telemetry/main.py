@@ -31,11 +31,10 @@ def publish_compressed(robot: rect.Robot) -> None:
 
 
 def main(name: str = "wombat-1", step: str = "") -> None:
-    with rect.connect(name) as robot:
+    with suppress(KeyboardInterrupt), rect.connect(name) as robot:
         robot.subscribe("*/telemetry", callback=lambda message: print(f"{message.sender}: {message.value}", flush=True))
         publish_compressed(robot) if step == "compressed" else publish(robot, range(2**62))
 
 
 if __name__ == "__main__":
-    with suppress(KeyboardInterrupt):
-        main(*sys.argv[1:])
+    main(*sys.argv[1:])

@@ -4,7 +4,6 @@ python examples/teleoperation/main.py wombat-1             # receives commands
 python examples/teleoperation/main.py laptop wombat-1      # sends commands
 """
 
-import contextlib
 import functools
 import math
 import sys
@@ -16,13 +15,13 @@ import rect
 
 
 def main(me: str = "wombat-1", other: str = "") -> None:
-    with rect.connect(me) as robot:
+    with suppress(KeyboardInterrupt), rect.connect(me) as robot:
         drive(robot, other) if other else follow(robot)
 
 
 def drive(robot: rect.Robot, other: str) -> None:
     for left in (math.sin(n / 20) for n in range(200)):
-        with contextlib.suppress(rect.NotReachable):  # it stops by itself, and is steered again when it is back
+        with suppress(rect.NotReachable):  # it stops by itself, and is steered again when it is back
             robot.send(other, "drive", rect.Cbor({"left": left, "right": -left}), urgency="urgent", expires_after=0.2)
         time.sleep(0.05)
     robot.send(other, "drive", rect.Cbor({"left": 0.0, "right": 0.0}), urgency="urgent")
@@ -37,5 +36,4 @@ def follow(robot: rect.Robot) -> None:
 
 
 if __name__ == "__main__":
-    with suppress(KeyboardInterrupt):
-        main(*sys.argv[1:])
+    main(*sys.argv[1:])

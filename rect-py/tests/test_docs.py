@@ -178,4 +178,4 @@ def test_log(simulation: None, tmp_path: Path) -> None:
     "name", ["hello", "telemetry", "teleoperation", "camera", "transfer", "request", "state", "log"]
 )
 def test_example_is_short(name: str) -> None:
-    assert len((_EXAMPLES / name / "main.py").read_text().splitlines()) < 40
+    assert len((_EXAMPLES / name / "main.py").read_text().splitlines()) <= 40

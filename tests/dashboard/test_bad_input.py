@@ -177,8 +177,9 @@ def test_stalled_browser_costs_little_and_delays_nobody(fleet: Fleet, dashboard:
             # The first value shows that both receive.
             if received and not before:
                 before = memory_kb()
-        assert received > sent * 0.9, (received, sent)
-        # 10 MB were sent; the stalled browser's values are dropped.
+        # A browser is sent 30 values a second.
+        assert received > min(sent, 5 * 30) * 0.8, (received, sent)
+        # 3 MB were sent; the stalled browser's values are dropped.
         assert memory_kb() - before < 2000
         stalled.close()
 
