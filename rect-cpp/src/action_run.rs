@@ -35,7 +35,7 @@ pub struct ActionRun {
 /// How a goal is started. `rect_start_options options = {0};` are the defaults, and so is NULL.
 #[repr(C)]
 pub struct StartOptions {
-    /// The id of the goal: 1 to 40 letters, digits, `_`, `-` and `.`. NULL: RECT chooses it. A goal that is started again with its id
+    /// The id of the goal: 1 to 40 letters, digits, underscores, hyphens and dots. NULL: RECT chooses it. A goal that is started again with its id
     /// runs once.
     pub goal_id: *const c_char,
     /// How often feedback is sent at most, per second: 0.1 to 50. 0: 10.

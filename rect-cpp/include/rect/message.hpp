@@ -47,8 +47,11 @@ struct QueueOptions {
 
 /// The settings of a subscription. QueueOptions become such settings by themselves.
 struct SubscribeOptions {
+    /// Creates the defaults.
     SubscribeOptions() = default;
+    /// Creates the defaults with other settings of the receive queue.
     SubscribeOptions(QueueOptions settings) : queue(settings) {}  // NOLINT(google-explicit-constructor)
+    /// Creates the defaults with other settings of the receive queue.
     SubscribeOptions(std::size_t capacity, WhenFull when_full) : queue{capacity, when_full} {}
 
     /// The settings of the receive queue.
