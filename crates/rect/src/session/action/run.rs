@@ -440,8 +440,12 @@ impl ActionRun {
     /// If the future is dropped, nothing is lost.
     pub async fn end(&self) -> Result<Payload, Error> {
         let mut changes = self.changes();
-        while !lock(&self.followed.run).has_ended() {
-            changes.next().await.ok_or(Error::Closed)?;
+        let has_ended = || lock(&self.followed.run).has_ended();
+        while !has_ended() {
+            // The goal may have ended meanwhile: then no change follows, either.
+            if changes.next().await.is_none() && !has_ended() {
+                return Err(Error::Closed);
+            }
         }
         let state = lock(&self.followed.run).state().clone();
         match (state.phase, &state.transfer) {
