@@ -9,7 +9,7 @@ pub use report::{bytes_of, is_delete, priority_of, Report};
 pub use sessions::{
     direct_presence, established_wait, expected_connection, interrupted, no_service, not_reachable,
     observer, peer_wait, peers_query, reachable_robots, registry_change, registry_query,
-    router_observer, seconds,
+    router_observer, seconds, throttle,
 };
 pub use step::{act, get, qos_fields, QosFields};
 

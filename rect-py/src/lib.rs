@@ -61,7 +61,7 @@ mod _rect {
         driver::{
             direct_presence, established_wait, expected_connection, interrupted, no_service,
             not_reachable, observer, peer_wait, peers_query, reachable_robots, registry_change,
-            registry_query, router_observer, ConnectionsReport, Driver, Report, Servers,
+            registry_query, router_observer, throttle, ConnectionsReport, Driver, Report, Servers,
         },
         errors::{forget, on_one_line},
         key_space::{
@@ -69,8 +69,8 @@ mod _rect {
             InternalTopic, KeySpace,
         },
         log::{
-            alert_topic, alerts_query, level_of_logging, log_keeper, log_reader, throttle,
-            write_alert, LogOutbox,
+            alert_topic, alerts_query, level_of_logging, log_keeper, log_reader, write_alert,
+            LogOutbox,
         },
         message::{Inbound, MessageMetadata},
         parameters::{

@@ -25,7 +25,6 @@ use rect_core::{
         reader::{Item, LogReader, Reading},
     },
     name::Name,
-    throttle::Throttle,
 };
 use serde_json::Value;
 
@@ -136,12 +135,6 @@ pub fn log_reader(
 #[pyfunction]
 pub fn log_keeper(key_space: &KeySpace, run: u32) -> Driver {
     Driver::new(LogKeeper::new(key_space.0.clone(), run), &Clock::new())
-}
-
-/// Creates the throttle of a program without a router.
-#[pyfunction]
-pub fn throttle(key_space: &KeySpace) -> Driver {
-    Driver::new(Throttle::new(key_space.0.clone()), &Clock::new())
 }
 
 /// Returns the level of a number of the module `logging`.

@@ -351,14 +351,14 @@ impl Inbound {
         now: Instant,
     ) -> Result<Message, Undelivered> {
         let throttled = self.throttled.as_mut().ok_or(Undelivered::NotSelected)?;
-        let receiver = &mut throttled.receiver;
         let (sender, topic) =
             throttled::of_message(&self.keys, delivered.key).ok_or(Undelivered::NotSelected)?;
         let (header, attachment) = (delivered.attachment)
             .and_then(Header::decode)
             .ok_or(Undelivered::NotSelected)?;
         let attachment = Attachment::decode(attachment);
-        let place = receiver.place(&sender, &topic, header, now);
+        let stream = throttled.receiver.stream(&sender, &topic, header, now);
+        let place = stream.place(header);
         // The numbers of the stream show what was lost on the way: those of the publisher also have gaps where messages were left out.
         let numbered = Attachment {
             source: place.source,
@@ -369,9 +369,8 @@ impl Inbound {
         let expires = attachment.and_then(|attachment| attachment.lifetime_ms);
         let at = expires.map(|_| now);
         let arrival = self.gaps.on_message(&sender, &numbered, at);
-        let selection =
-            receiver.on_message((&sender, &topic), (header, attachment), arrival.missed, now);
-        let gap = selection.ok_or(Undelivered::NotSelected)?;
+        let gap = stream.on_message(header, attachment, arrival.missed, now);
+        let gap = gap.ok_or(Undelivered::NotSelected)?;
         let mut message = Message {
             urgency: Urgency::from_priority(delivered.priority),
             missed: gap.missed,

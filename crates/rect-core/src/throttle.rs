@@ -157,32 +157,31 @@ impl Throttle {
         let mut polls = false;
         for route in routes {
             let key = (topic.as_str().to_owned(), route.receiver);
-            if !self.streams.contains_key(&key) {
-                if self.streams.len() >= MAX_STREAMS {
-                    self.warn(format!(
-                        "other robots have asked for messages of more than {MAX_STREAMS} topics with max_hz or on_change: the messages of {topic} are not sent to {}",
-                        key.1
-                    ));
-                    return true;
-                }
+            let known = self.streams.get(&key).map(|publishing| publishing.urgency);
+            if known.is_none() && self.streams.len() >= MAX_STREAMS {
+                self.warn(format!(
+                    "other robots have asked for messages of more than {MAX_STREAMS} topics with max_hz or on_change: the messages of {topic} are not sent to {}",
+                    key.1
+                ));
+                polls = true;
+                continue;
+            }
+            if known != Some(urgency) {
+                let publisher = self.declare_publisher(&key.1, topic.as_str(), urgency);
+                let stream = match self.streams.remove(&key) {
+                    Some(before) => {
+                        let id = before.publisher;
+                        self.actions.push_back(Action::Undeclare { id });
+                        before.stream
+                    }
+                    None => Stream::new(route.asked, now),
+                };
                 let publishing = Publishing {
-                    publisher: self.declare_publisher(&key.1, topic.as_str(), urgency),
+                    publisher,
                     urgency,
-                    stream: Stream::new(route.asked, now),
+                    stream,
                 };
                 self.streams.insert(key.clone(), publishing);
-            }
-            if self
-                .streams
-                .get(&key)
-                .is_some_and(|publishing| publishing.urgency != urgency)
-            {
-                let publisher = self.declare_publisher(&key.1, topic.as_str(), urgency);
-                if let Some(publishing) = self.streams.get_mut(&key) {
-                    let id = std::mem::replace(&mut publishing.publisher, publisher);
-                    publishing.urgency = urgency;
-                    self.actions.push_back(Action::Undeclare { id });
-                }
             }
             if let Some(publishing) = self.streams.get_mut(&key) {
                 polls |= publishing.stream.on_message(received.clone(), now);

@@ -14,6 +14,7 @@ use rect_core::{
         names,
         peers::{self, DirectPresence, EstablishedWait, PeerWait, PeersQuery},
     },
+    throttle::Throttle,
 };
 
 use super::Driver;
@@ -98,6 +99,12 @@ pub fn direct_presence(key_space: &KeySpace, id: &str, unix_ms: Option<u64>) -> 
     let clock = Clock::new();
     let presence = DirectPresence::new(&key_space.0, id, unix_ms, clock.created_at());
     Driver::new(presence, &clock)
+}
+
+/// Creates the throttle of a program without a router.
+#[pyfunction]
+pub fn throttle(key_space: &KeySpace) -> Driver {
+    Driver::new(Throttle::new(key_space.0.clone()), &Clock::new())
 }
 
 /// Creates a question to the registry of a robot.

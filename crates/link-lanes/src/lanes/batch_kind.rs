@@ -83,7 +83,7 @@ fn is_droppable(reader: &mut impl Reader) -> Result<bool, DidntRead> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use zenoh_codec::WCodec;
     use zenoh_protocol::{
         core::{Priority, Reliability},
@@ -115,7 +115,8 @@ mod tests {
         bytes
     }
 
-    fn framed(message: &[u8]) -> Vec<u8> {
+    /// Returns a batch with these messages.
+    pub(in crate::lanes) fn framed(messages: &[u8]) -> Vec<u8> {
         let header = FrameHeader {
             reliability: Reliability::Reliable,
             sn: 300,
@@ -123,11 +124,12 @@ mod tests {
         };
         let mut bytes = Vec::new();
         assert!(Zenoh080::new().write(&mut bytes, &header).is_ok());
-        bytes.extend_from_slice(message);
+        bytes.extend_from_slice(messages);
         bytes
     }
 
-    fn fragment(is_first: bool, message: &[u8]) -> Vec<u8> {
+    /// Returns a batch with a fragment of a message.
+    pub(in crate::lanes) fn fragment(is_first: bool, message: &[u8]) -> Vec<u8> {
         let header = FragmentHeader {
             reliability: Reliability::Reliable,
             more: true,

@@ -1,4 +1,5 @@
-//! Throttled subscriptions, which receive fewer messages than are published: at most so many a second, or only values that differ.
+//! Throttled subscriptions. They receive fewer messages than are published: a limited number per second, or only values that differ
+//! from the last one.
 //!
 //! A subscriber declares its [`Wish`] as a liveliness token. The router of the robot that publishes ([`crate::throttle`]) sends each
 //! robot with wishes a stream of its own for each topic, as fast as the largest of that robot's wishes. So the messages that nobody

@@ -72,7 +72,7 @@ pub struct Address {
 impl KeySpace {
     /// Returns the key of messages that this robot publishes on `topic`, and of its service of that name.
     pub fn publication(&self, topic: &Topic) -> String {
-        format!("{}/{}/{topic}", self.fleet, self.robot)
+        self.publication_of(topic.as_str())
     }
 
     /// Returns the key expression of messages that this robot publishes on topics with wildcards.

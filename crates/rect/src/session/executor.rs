@@ -1,6 +1,7 @@
 //! Performs the actions of one driver on a Zenoh session, and reports what Zenoh delivers to the driver.
 use std::{
     collections::HashMap,
+    ops::Deref,
     sync::{
         atomic::{AtomicBool, Ordering},
         Arc, Mutex, MutexGuard, PoisonError,
@@ -40,9 +41,37 @@ pub(super) struct Running<D: Driver> {
     task: JoinHandle<()>,
 }
 
+/// A driver that runs on a thread until this is dropped.
+pub(super) struct OnThread<D: Driver>(Arc<Shared<D>>);
+
 enum Next<O> {
     Wait(Option<Instant>),
     Finished(O),
+}
+
+impl<D> OnThread<D>
+where
+    D: Driver<Output: Send> + Send + 'static,
+    D::Item: 'static,
+{
+    /// Starts a driver.
+    pub(super) fn start(executor: Executor<D>, name: &str) -> Result<Self, Error> {
+        Ok(Self(executor.start_thread(name)?))
+    }
+}
+
+impl<D: Driver> Deref for OnThread<D> {
+    type Target = Arc<Shared<D>>;
+
+    fn deref(&self) -> &Self::Target {
+        &self.0
+    }
+}
+
+impl<D: Driver> Drop for OnThread<D> {
+    fn drop(&mut self) {
+        self.0.on_event(Event::Closed);
+    }
 }
 
 impl<D> Executor<D>

@@ -1,12 +1,10 @@
 //! Gives the lines of a program to the router of its robot, and keeps those of a robot.
 use std::{
     fmt,
-    sync::Arc,
     time::{Duration, Instant},
 };
 
 use rect_core::{
-    driver::Event,
     log::{keeper::LogKeeper, line::Line, outbox::Outbox},
     name::key::KeySpace,
 };
@@ -14,8 +12,8 @@ use tokio::runtime::Handle;
 use zenoh::Session;
 
 use super::{
-    executor::{Executor, Running},
-    shared::{NoItems, Shared},
+    executor::{Executor, OnThread, Running},
+    shared::NoItems,
 };
 use crate::error::Error;
 
@@ -80,7 +78,7 @@ impl fmt::Debug for ProgramLog {
 
 /// The log of a robot, which is kept until this is dropped. For routers; a program without a router has one of its own.
 #[doc(hidden)]
-pub struct KeptLog(Arc<Shared<LogKeeper>>);
+pub struct KeptLog(OnThread<LogKeeper>);
 
 impl KeptLog {
     /// Begins to keep the lines of the programs of the robot of `place`, on a thread.
@@ -90,7 +88,7 @@ impl KeptLog {
     pub fn start(session: &Session, place: KeySpace) -> Result<Self, Error> {
         let keeper = LogKeeper::new(place, rand::random());
         let executor = Executor::new(session, keeper, NoItems);
-        Ok(Self(executor.start_thread("log")?))
+        Ok(Self(OnThread::start(executor, "log")?))
     }
 
     /// Waits until those who follow were sent the last lines, for 1 s at most.
@@ -100,11 +98,5 @@ impl KeptLog {
             self.0.signal().set();
             tokio::time::sleep(CHECK_EVERY).await;
         }
-    }
-}
-
-impl Drop for KeptLog {
-    fn drop(&mut self) {
-        self.0.on_event(Event::Closed);
     }
 }

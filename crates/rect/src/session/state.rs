@@ -26,7 +26,7 @@ use rect_core::{
 use zenoh::Session;
 
 use super::{
-    executor::Executor,
+    executor::{Executor, OnThread},
     receive_queue::ReceiveQueue,
     router_links::LinkTable,
     shared::{lock, Shared, Sink},
@@ -167,7 +167,7 @@ impl Sink<Arrival> for ToReceivers {
 
 /// The state of a robot, which is kept until this is dropped. For routers; a program without a router has one of its own.
 #[doc(hidden)]
-pub struct KeptState(Arc<Shared<StateKeeper>>);
+pub struct KeptState(OnThread<StateKeeper>);
 
 impl KeptState {
     /// Begins to keep the state of the robot of `place`, on a thread. `save` writes the values that survive a restart. `is_served`: whether
@@ -204,7 +204,7 @@ impl KeptState {
             save,
             shared: Arc::clone(&shared),
         };
-        let running = Executor::new(session, keeper, writer).start_thread("state")?;
+        let running = OnThread::start(Executor::new(session, keeper, writer), "state")?;
         let _ = shared.set(Arc::downgrade(&running));
         Ok(Self(running))
     }
@@ -225,12 +225,6 @@ impl KeptState {
     /// Returns the topics that have a value, in the order of their names.
     pub fn topics(&self) -> Vec<RetainedTopic> {
         self.0.driver().topics()
-    }
-}
-
-impl Drop for KeptState {
-    fn drop(&mut self) {
-        self.0.on_event(Event::Closed);
     }
 }
 

@@ -11,6 +11,8 @@ use std::{
 };
 
 use futures_core::Stream;
+#[cfg(feature = "recording")]
+use rect_core::name::key::Selected;
 use rect_core::{
     message::{
         counters::AtomicCounters,
@@ -20,7 +22,7 @@ use rect_core::{
         throttled::Wish,
         Delivery, Inbound, Message, Undelivered,
     },
-    name::{key::Selected, topic::Pattern, Name},
+    name::{topic::Pattern, Name},
     session::name_check::Used,
 };
 use tokio::task::JoinHandle;

@@ -1,15 +1,20 @@
 //! Sends other robots as many messages as they asked for.
-use std::{fmt, sync::Arc};
+use std::fmt;
 
-use rect_core::{driver::Event, name::key::KeySpace, throttle::Throttle};
+use rect_core::{name::key::KeySpace, throttle::Throttle};
 use zenoh::Session;
 
-use super::{executor::Executor, shared::Shared, warnings::WarningSink};
+use super::{
+    executor::{Executor, OnThread},
+    warnings::WarningSink,
+};
 use crate::error::Error;
 
 /// The throttle of a robot, until this is dropped. For routers; a program without a router has one of its own.
 #[doc(hidden)]
-pub struct RunningThrottle(Arc<Shared<Throttle>>);
+pub struct RunningThrottle {
+    _running: OnThread<Throttle>,
+}
 
 impl RunningThrottle {
     /// Begins to send the messages of the robot of `place` that others ask for with `max_hz` or `on_change`, on a thread.
@@ -18,13 +23,8 @@ impl RunningThrottle {
     /// [`Error::Zenoh`] if Zenoh refuses a declaration.
     pub fn start(session: &Session, place: KeySpace) -> Result<Self, Error> {
         let executor = Executor::new(session, Throttle::new(place), WarningSink);
-        Ok(Self(executor.start_thread("throttle")?))
-    }
-}
-
-impl Drop for RunningThrottle {
-    fn drop(&mut self) {
-        self.0.on_event(Event::Closed);
+        let _running = OnThread::start(executor, "throttle")?;
+        Ok(Self { _running })
     }
 }
 

@@ -7,11 +7,12 @@ use zenoh_protocol::{
         push, request, response, Declare, Mapping, NetworkBody, NetworkMessage, Push, Request,
         Response, ResponseFinal,
     },
-    transport::{fragment, frame, FragmentHeader, FrameHeader, KeepAlive},
+    transport::KeepAlive,
     zenoh::{ConsolidationMode, PushBody, Put, Query, Reply, RequestBody, ResponseBody},
 };
 
 use super::*;
+use crate::lanes::batch_kind::{self, tests::fragment};
 
 const KEEP: Duration = Duration::from_secs(5);
 /// The number of bytes that a link adds to a batch in these tests.
@@ -77,32 +78,8 @@ fn encoded(body: NetworkBody) -> Vec<u8> {
 }
 
 fn framed(messages: impl IntoIterator<Item = NetworkBody>) -> Vec<u8> {
-    let header = FrameHeader {
-        reliability: Reliability::Reliable,
-        sn: 300,
-        ext_qos: frame::ext::QoSType::new(Priority::Data),
-    };
-    let mut bytes = Vec::new();
-    assert!(Zenoh080::new().write(&mut bytes, &header).is_ok());
-    messages
-        .into_iter()
-        .for_each(|message| bytes.extend(encoded(message)));
-    bytes
-}
-
-fn fragment(is_first: bool, content: &[u8]) -> Vec<u8> {
-    let header = FragmentHeader {
-        reliability: Reliability::Reliable,
-        more: true,
-        sn: 300,
-        ext_qos: fragment::ext::QoSType::new(Priority::Data),
-        ext_first: is_first.then(fragment::ext::First::new),
-        ext_drop: None,
-    };
-    let mut bytes = Vec::new();
-    assert!(Zenoh080::new().write(&mut bytes, &header).is_ok());
-    bytes.extend_from_slice(content);
-    bytes
+    let messages = messages.into_iter().flat_map(encoded);
+    batch_kind::tests::framed(&messages.collect::<Vec<_>>())
 }
 
 /// A link that is asked for its usage, and the bytes that it has sent.

@@ -26,7 +26,8 @@ pub struct Receiver {
 
 /// One topic of one robot.
 #[derive(Debug)]
-struct Stream {
+pub struct Stream {
+    wish: Wish,
     /// Identifies the stream among those of its robot.
     source: u16,
     /// The number of the last message.
@@ -71,78 +72,86 @@ impl Receiver {
         }
     }
 
-    /// Returns the place of a message that arrives now.
-    pub fn place(&mut self, sender: &Name, topic: &Topic, header: Header, now: Instant) -> Place {
-        let stream = (sender.clone(), topic.clone());
-        let is_new = header.is_first || !self.streams.contains_key(&stream);
-        if is_new {
-            if self.streams.len() >= MAX_STREAMS {
-                self.streams.pop_first();
-            }
-            self.begun = self.begun.wrapping_add(1);
-            let begun = Stream {
-                source: self.begun,
-                number: header.number.into(),
-                due: now,
-                is_changed: true,
-                is_settled: false,
-                delivered: None,
-                missed: 0,
-            };
-            self.streams.insert(stream, begun);
-            return Place {
-                source: self.begun,
-                number: header.number.into(),
-            };
+    /// Returns the stream of a message that arrives now.
+    pub fn stream(
+        &mut self,
+        sender: &Name,
+        topic: &Topic,
+        header: Header,
+        now: Instant,
+    ) -> &mut Stream {
+        let key = (sender.clone(), topic.clone());
+        if header.is_first {
+            self.streams.remove(&key);
         }
-        let Some(stream) = self.streams.get_mut(&stream) else {
-            unreachable!("it is in the map");
-        };
-        let number = stream
-            .number
-            .wrapping_add_signed(header.after(stream.number));
-        if header.after(stream.number) > 0 {
-            stream.number = number;
+        if self.streams.len() >= MAX_STREAMS && !self.streams.contains_key(&key) {
+            self.streams.pop_first();
+        }
+        let (wish, begun) = (self.wish, &mut self.begun);
+        self.streams.entry(key).or_insert_with(|| {
+            *begun = begun.wrapping_add(1);
+            Stream::new(wish, *begun, header, now)
+        })
+    }
+}
+
+impl Stream {
+    fn new(wish: Wish, source: u16, first: Header, now: Instant) -> Self {
+        Self {
+            wish,
+            source,
+            number: first.number.into(),
+            due: now,
+            is_changed: true,
+            is_settled: false,
+            delivered: None,
+            missed: 0,
+        }
+    }
+
+    /// Returns the place of a message.
+    pub fn place(&mut self, header: Header) -> Place {
+        let after = header.after(self.number);
+        let number = self.number.wrapping_add_signed(after);
+        if after > 0 {
+            self.number = number;
         }
         Place {
-            source: stream.source,
+            source: self.source,
             number,
         }
     }
 
-    /// Decides whether the subscriber wants a message, which has a [`place`](Self::place). `missed` messages of its stream are missing
-    /// before it.
+    /// Decides whether the subscriber receives a message. `missed` messages of the stream are missing before it.
     pub fn on_message(
         &mut self,
-        (sender, topic): (&Name, &Topic),
-        (header, attachment): (Header, Option<Attachment>),
+        header: Header,
+        attachment: Option<Attachment>,
         missed: u32,
         now: Instant,
     ) -> Option<Gap> {
-        let stream = (sender.clone(), topic.clone());
-        let stream = self.streams.get_mut(&stream)?;
-        stream.missed = stream.missed.saturating_add(missed);
-        if header.repeats && stream.is_settled && missed == 0 {
+        self.missed = self.missed.saturating_add(missed);
+        if header.repeats && self.is_settled && missed == 0 {
             return None;
         }
-        stream.is_settled = true;
+        self.is_settled = true;
         // A message that is missing may have had another value.
-        stream.is_changed |= !header.is_unchanged || missed > 0;
-        if self.wish.is_on_change() && !stream.is_changed {
+        self.is_changed |= !header.is_unchanged || missed > 0;
+        if self.wish.is_on_change() && !self.is_changed {
             return None;
         }
         let interval = self.wish.interval();
         // The intervals of a stream vary.
-        if now + interval / 8 < stream.due {
-            stream.is_settled = false;
+        if now + interval / 8 < self.due {
+            self.is_settled = false;
             return None;
         }
         let earliest = now.checked_sub(LAG).unwrap_or(now);
-        stream.due = (stream.due + interval).max(earliest);
-        stream.is_changed = false;
-        let missed = std::mem::take(&mut stream.missed);
+        self.due = (self.due + interval).max(earliest);
+        self.is_changed = false;
+        let missed = std::mem::take(&mut self.missed);
         let number = attachment.map(|sent| (sent.source, sent.sequence));
-        let last = std::mem::replace(&mut stream.delivered, number);
+        let last = std::mem::replace(&mut self.delivered, number);
         let skipped = match (last, number) {
             (Some((before, last)), Some((source, number))) if before == source => {
                 let between = number.wrapping_sub(last).wrapping_sub(1);
