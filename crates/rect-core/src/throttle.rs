@@ -31,6 +31,10 @@ use crate::{
 /// The maximum number of streams; messages of further topics are not sent.
 pub const MAX_STREAMS: usize = 1024;
 
+/// The number of actions from which on messages wait with their streams, where newer ones replace them: a link that is slower than the
+/// messages holds the actions up.
+const MAX_ACTIONS: usize = 256;
+
 const TOKENS: Id = Id(0);
 /// The ids of subscribers and publishers follow this one.
 const FIRST: u64 = 1;
@@ -185,6 +189,12 @@ impl Throttle {
             }
             if let Some(publishing) = self.streams.get_mut(&key) {
                 polls |= publishing.stream.on_message(received.clone(), now);
+                // A message that is due does not wait for the next poll, where a newer one would replace it.
+                if self.actions.len() < MAX_ACTIONS {
+                    let put = publishing.put(now);
+                    polls |= put.is_some();
+                    self.actions.extend(put);
+                }
             }
         }
         polls
@@ -206,6 +216,18 @@ impl Throttle {
         if !std::mem::replace(&mut self.has_warned, true) {
             self.warnings.push_back(warning);
         }
+    }
+}
+
+impl Publishing {
+    /// Returns how to send a message that is due.
+    fn put(&mut self, now: Instant) -> Option<Action> {
+        let (payload, attachment) = self.stream.poll(now)?;
+        Some(Action::Put {
+            publisher: self.publisher,
+            payload,
+            attachment: Some(attachment),
+        })
     }
 }
 
@@ -245,12 +267,8 @@ impl Driver for Throttle {
         }
         let mut next = None::<Instant>;
         for publishing in self.streams.values_mut() {
-            if let Some((payload, attachment)) = publishing.stream.poll(now) {
-                return Step::Act(Action::Put {
-                    publisher: publishing.publisher,
-                    payload,
-                    attachment: Some(attachment),
-                });
+            if let Some(put) = publishing.put(now) {
+                return Step::Act(put);
             }
             next = [next, publishing.stream.due()].into_iter().flatten().min();
         }

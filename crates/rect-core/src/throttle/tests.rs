@@ -192,6 +192,14 @@ impl World {
         received.map(|(_, value)| value).collect()
     }
 
+    /// Returns a subscriber of the throttle.
+    fn subscriber(&self) -> Id {
+        let mut declared = self.declared.iter();
+        let found =
+            declared.find(|(_, declaration)| matches!(declaration, Declaration::Subscriber { .. }));
+        *found.expect("it subscribes").0
+    }
+
     fn sent_to(&self, robot: &str, topic: &str) -> usize {
         let key = format!("rect/wombat-1/@rect/throttled/{robot}/{topic}");
         self.sent.get(&key).copied().unwrap_or_default()
@@ -308,6 +316,39 @@ fn equal_values_are_not_sent_to_those_who_want_changes() {
 }
 
 #[test]
+fn changes_that_follow_each_other_at_once_all_arrive() {
+    let mut world = World::new();
+    world.subscribe("laptop", "wombat-1/mode", None, true);
+    world.publish("mode", "a");
+    let subscriber = world.subscriber();
+    // The executor is busy, and polls only after all of them.
+    for value in ["b", "b", "c", "d"] {
+        let payload = Payload::new(value, Encoding::TEXT);
+        let sample = sample("rect/wombat-1/mode".to_owned(), payload, None, false);
+        let event = Event::Sample {
+            id: subscriber,
+            sample,
+        };
+        let _ = world.throttle.on_event(world.now, event);
+    }
+    world.poll();
+    assert_eq!(world.values(0), ["a", "b", "c", "d"]);
+    // A link that is too slow for a flood holds up a limited number.
+    for number in 0..10_000 {
+        let payload = Payload::new(number.to_string(), Encoding::TEXT);
+        let sample = sample("rect/wombat-1/mode".to_owned(), payload, None, false);
+        let event = Event::Sample {
+            id: subscriber,
+            sample,
+        };
+        let _ = world.throttle.on_event(world.now, event);
+    }
+    assert!(world.throttle.actions.len() <= MAX_ACTIONS);
+    world.poll();
+    assert_eq!(world.values(0).last().map(String::as_str), Some("9999"));
+}
+
+#[test]
 fn lost_messages_count_as_missed() {
     let mut world = World::new();
     world.subscribe("laptop", "wombat-1/pose", Some(10.0), false);
@@ -416,10 +457,7 @@ fn directed_retained_and_foreign_messages_stay() {
     let mut world = World::new();
     world.subscribe("laptop", "wombat-1/**", Some(10.0), false);
     world.publish("to/phone/secret", "a");
-    let subscriber = (world.declared.iter())
-        .find(|(_, declaration)| matches!(declaration, Declaration::Subscriber { .. }))
-        .map(|(id, _)| *id)
-        .expect("it subscribes");
+    let subscriber = world.subscriber();
     for attachment in [None, Some(vec![0xF7, 0, 0].into())] {
         let payload = Payload::new("x", Encoding::TEXT);
         let sample = sample("rect/wombat-1/mode".to_owned(), payload, attachment, false);
